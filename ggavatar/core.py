@@ -1,0 +1,146 @@
+"""The values that travel through GGAvatar, and the two protocols a backend and a method fulfil. No disk, no device.
+
+Units and axes (docs/conventions.md): metres, radians, pixels with centres at +0.5, OpenCV cameras, quaternions wxyz, sRGB in [0, 1].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera in OpenCV axes (x right, y down, z forward).
+
+    Attributes:
+        intrinsics: Focal lengths and principal point, px; the third row is 0, 0, 1 and there is no skew.
+        world_to_camera: Rigid transform from world metres to camera metres.
+        width: Image width, px.
+        height: Image height, px.
+    """
+
+    intrinsics: Float[Tensor, "3 3"]
+    world_to_camera: Float[Tensor, "4 4"]
+    width: int
+    height: int
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera for an image resampled to `width` × `height` px (edges aligned, so pixel centres stay at +0.5)."""
+        factors = self.intrinsics.new_tensor([[width / self.width], [height / self.height], [1.0]])
+        return Camera(self.intrinsics * factors, self.world_to_camera, width, height)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Everything that animates a head in one frame.
+
+    Attributes:
+        expression: Expression coefficients of the head model, unit of its basis.
+        joint_rotations: Axis-angle of every joint in the head's order (FLAME: root, neck, jaw, left eye, right eye), rad.
+        eyelids: Closing of the left and the right lid; 0 is open as in the template, 1 is closed.
+        translation: Of the whole head after posing, m.
+        head_to_camera: Rigid pose of the head seen from the camera. With a tracker that puts the head pose into the camera this is
+            `world_to_camera`; methods that need the pose as a condition read it here.
+        frame: Source frame number, or None for a drive that no frame was trained on.
+    """
+
+    expression: Float[Tensor, " E"]
+    joint_rotations: Float[Tensor, "J 3"]
+    eyelids: Float[Tensor, "2"]
+    translation: Float[Tensor, "3"]
+    head_to_camera: Float[Tensor, "4 4"]
+    frame: int | None = None
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One training or test frame, already composited on the background.
+
+    Attributes:
+        drive: What moves the head.
+        camera: Where it is seen from.
+        image: sRGB in [0, 1].
+        alpha: Foreground coverage in [0, 1].
+    """
+
+    drive: Drive
+    camera: Camera
+    image: Float[Tensor, "H W 3"]
+    alpha: Float[Tensor, "H W 1"]
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """3D Gaussians in world space, activated (no logits, no logarithms).
+
+    Attributes:
+        means: Centres, m.
+        quats: Rotations, wxyz; need not be normalised.
+        scales: Standard deviations along the local axes, m, positive.
+        opacities: In [0, 1].
+        colors: Either RGB [N, 3], or spherical harmonics [N, K, 3] with K = 1, 4, 9 or 16, where colour = max(0, SH(direction) + 0.5).
+        sh_degree: Highest degree to evaluate (0 to 3); None means all that `colors` holds. Ignored for RGB.
+    """
+
+    means: Float[Tensor, "N 3"]
+    quats: Float[Tensor, "N 4"]
+    scales: Float[Tensor, "N 3"]
+    opacities: Float[Tensor, " N"]
+    colors: Float[Tensor, "N 3"] | Float[Tensor, "N K 3"]
+    sh_degree: int | None = None
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What a rasteriser returns.
+
+    Attributes:
+        image: Composited on the background; may exceed 1 where colours do.
+        alpha: 1 − final transmittance.
+        depth: Alpha-weighted sum of camera z, m (divide by alpha for the expected depth).
+        means2d: Projected centres, px. After `backward()` its `.grad` holds ∂loss/∂means2d in px (zero for culled Gaussians).
+        radii: Half of the larger side of the box in which alpha ≥ 1/255, px; 0 for culled Gaussians.
+    """
+
+    image: Float[Tensor, "H W 3"]
+    alpha: Float[Tensor, "H W 1"]
+    depth: Float[Tensor, "H W 1"]
+    means2d: Float[Tensor, "N 2"]
+    radii: Float[Tensor, " N"] | Int[Tensor, " N"]
+
+
+class Rasterizer(Protocol):
+    """A differentiable renderer of Gaussians; `ggavatar.render.pick` returns one."""
+
+    def __call__(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, "3"]) -> Rendering:
+        """Draw `gaussians` as seen by `camera` on a constant background colour."""
+        ...
+
+
+class Avatar(Protocol):
+    """What a method must offer; the trainer and the evaluator use nothing else. Implementations are `torch.nn.Module`s.
+
+    Everything that decides how the avatar looks (weights, rows, the stage of its schedule) is in its `state_dict`.
+    """
+
+    def gaussians(self, drive: Drive) -> Gaussians:
+        """The avatar posed by `drive`, in world space."""
+        ...
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
+        """Weighted terms of the objective by name; their sum is minimised and each is logged."""
+        ...
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """The optimisers to step, rates as of the current step."""
+        ...
+
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        """Called after the optimisers have stepped: density control, rates and stages of step + 1."""
+        ...

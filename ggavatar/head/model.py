@@ -1,0 +1,123 @@
+"""One linear-blend-skinned head. FLAME, the procedural head and tracked heads differ in their arrays only."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ggavatar.core import Drive
+from ggavatar.geometry import axis_angle_to_matrix, matrix_to_rotation_6d
+
+
+@dataclass(frozen=True)
+class HeadModel:
+    """A head with its identity folded in: what `head.npz` holds (docs/capture-format.md).
+
+    Attributes:
+        template: Neutral vertices, m; +Y up, face towards +Z, +X the subject's left.
+        faces: Vertex indices, counter-clockwise from outside.
+        expression_basis: Displacement per unit of each expression coefficient, m.
+        pose_basis: Displacement per entry of vec(R_j − I), joints 1… in order, row-major, m; P is 0 or 9·(J − 1).
+        eyelid_basis: Displacement of a closed left and right lid, m, added after skinning (metrical-tracker).
+        joint_regressor: Joint positions from shaped vertices.
+        skinning_weights: Rows sum to 1.
+        parents: Parent of every joint; −1 for the root, and a parent precedes its children.
+        joint_names: FLAME: root, neck, jaw, left_eye, right_eye. Further joints MAY follow.
+        version: Tag of the parameter space ("flame2020", "flame2023", "procedural-1", …); coefficients of different tags never mix.
+        regions: Named vertex sets, e.g. face, lips, mouth, eyes, scalp, ears, neck, shoulders; they may overlap.
+        uv: Texture coordinates of every corner of every face in [0, 1]; v upward.
+    """
+
+    template: Float[Tensor, "V 3"]
+    faces: Int[Tensor, "F 3"]
+    expression_basis: Float[Tensor, "V 3 E"]
+    pose_basis: Float[Tensor, "V 3 P"]
+    eyelid_basis: Float[Tensor, "V 3 2"]
+    joint_regressor: Float[Tensor, "J V"]
+    skinning_weights: Float[Tensor, "V J"]
+    parents: tuple[int, ...]
+    joint_names: tuple[str, ...]
+    version: str
+    regions: Mapping[str, Int[Tensor, " R"]] = field(default_factory=dict)
+    uv: Float[Tensor, "F 3 2"] | None = None
+
+    def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> HeadModel:
+        """The same head on another device and, for its floating-point arrays, in another dtype."""
+
+        def moved(value: Tensor) -> Tensor:
+            return value.to(device, dtype if value.is_floating_point() else None)
+
+        changes: dict = {f.name: moved(getattr(self, f.name)) for f in dataclasses.fields(self) if isinstance(getattr(self, f.name), Tensor)}
+        changes["regions"] = {name: moved(rows) for name, rows in self.regions.items()}
+        return dataclasses.replace(self, **changes)
+
+    def joint(self, name: str) -> int:
+        """Index of a joint by name; `ValueError` if the head has none of that name."""
+        if name not in self.joint_names:
+            raise ValueError(f"expected a joint of {self.joint_names}, got {name!r}")
+        return self.joint_names.index(name)
+
+    def neutral_drive(self) -> Drive:
+        """No expression, no rotation, lids as in the template, no translation, head at the camera's origin."""
+        like = self.template
+        return Drive(
+            expression=like.new_zeros(self.expression_basis.shape[2]),
+            joint_rotations=like.new_zeros(len(self.parents), 3),
+            eyelids=like.new_zeros(2),
+            translation=like.new_zeros(3),
+            head_to_camera=torch.eye(4, dtype=like.dtype, device=like.device),
+        )
+
+    def neutral(self) -> Float[Tensor, "V 3"]:
+        """Vertices without any facial parameters (docs/paper.md, A13), m."""
+        return self.template
+
+    def vertices(self, drive: Drive) -> Float[Tensor, "V 3"]:
+        """Vertices of the posed head, m; differentiable in every field of `drive` and in every array of the head.
+
+        Order (FLAME; Li et al. 2017, Eq. 1–4): shape with expression → joints → pose correctives → skinning → lids → translation. Lids are
+        turned with the neck, so that they stay rigid with the head; with an unturned neck this is metrical-tracker's addition after skinning.
+        """
+        shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
+        joints = self.joint_regressor @ shaped
+        rotations = axis_angle_to_matrix(drive.joint_rotations)
+        if self.pose_basis.shape[2]:
+            identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
+            feature = (rotations[1:] - identity).flatten()
+            shaped = shaped + (self.pose_basis.flatten(0, 1) @ feature).view_as(shaped)
+        linear, offset = self._joint_transforms(rotations, joints)
+        blend = self.skinning_weights
+        matrices = (blend @ linear.flatten(1)).view(-1, 3, 3)
+        posed = (matrices @ shaped[:, :, None]).squeeze(-1) + blend @ offset
+        lids = (self.eyelid_basis.flatten(0, 1) @ drive.eyelids).view_as(posed)
+        carrier = linear[self.joint("neck")] if "neck" in self.joint_names else linear[0]
+        return posed + lids @ carrier.T + drive.translation
+
+    def _joint_transforms(self, rotations: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
+        """World rotation [J, 3, 3] and offset [J, 3] of every joint, such that x ↦ R x + o moves a vertex bound to it."""
+        linear: list[Tensor] = []
+        position: list[Tensor] = []
+        for index, parent in enumerate(self.parents):
+            if parent < 0:
+                linear.append(rotations[index])
+                position.append(joints[index])
+            else:
+                linear.append(linear[parent] @ rotations[index])
+                position.append(position[parent] + linear[parent] @ (joints[index] - joints[parent]))
+        stacked = torch.stack(linear)
+        return stacked, torch.stack(position) - (stacked @ joints[:, :, None]).squeeze(-1)
+
+    def condition(self, drive: Drive) -> Float[Tensor, " C"]:
+        """ψ and θ as one vector: expression, every joint beyond root and neck as 6D rotation, lids.
+
+        FLAME with 100 expressions gives the 120 numbers of metrical-tracker and FlashAvatar (docs/paper.md, A12); rigid pose is not in it.
+        """
+        skipped = {"root", "neck"}
+        moving = [index for index, name in enumerate(self.joint_names) if name not in skipped]
+        rotations = matrix_to_rotation_6d(axis_angle_to_matrix(drive.joint_rotations[moving]))
+        return torch.cat((drive.expression, rotations.flatten(), drive.eyelids))

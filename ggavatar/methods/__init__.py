@@ -1,0 +1,1 @@
+"""Avatar methods; every file here is one method and registers itself by its name (docs/adding-a-method.md)."""

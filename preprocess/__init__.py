@@ -1,0 +1,1 @@
+"""From a portrait video to a capture folder: frames, crop, masks, tracking, checks."""
