@@ -1,0 +1,49 @@
+# Two commands matter: `make demo` (see an avatar and its table) and `make test`. Both set everything up by themselves.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO ?= demo
+DEMO_ID ?= 1
+DEMO_FRAMES ?= 600
+DEMO_SIZE ?= 256
+DEMO_STEPS ?= 6000
+DEMO_EVAL ?=
+SUBJECT := $(DEMO)/subject
+CAPTURE := $(DEMO)/capture
+RUN := $(DEMO)/run
+
+.PHONY: demo test lint format bench clean-demo
+
+demo: $(VENV)/installed
+	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
+	@test -f $(CAPTURE)/preview.jpg || $(BIN)/ggavatar-prep $(SUBJECT)/video.mp4 --tracking $(SUBJECT)/tracking --masks $(SUBJECT)/masks \
+		--head-model $(SUBJECT)/head.npz --size $(DEMO_SIZE) --resume -o $(CAPTURE)
+	@$(BIN)/ggavatar-train $(CAPTURE) ggavatar --steps $(DEMO_STEPS) --resume -o $(RUN)
+	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
+
+test: $(VENV)/installed-dev
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/installed-dev
+	$(BIN)/python -m benchmarks rasterizer --json rasterizer.json
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "expected Python 3.11 or newer, found $$($(PYTHON) -V); run: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/installed: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $@ $(VENV)/installed

@@ -1,0 +1,27 @@
+"""Fixtures shared by all tests: where model files and real data are, and one thread for repeatable speed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+def _folder(variable: str, what: str) -> Path:
+    value = os.environ.get(variable)
+    if not value or not Path(value).is_dir():
+        pytest.skip(f"needs {what}: set ${variable} to their folder")
+    return Path(value)
+
+
+@pytest.fixture(scope="session")
+def models_folder() -> Path:
+    """Model files that the project does not ship."""
+    return _folder("GGAVATAR_MODELS", "model files")
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Real clips and tracking files that the project does not ship."""
+    return _folder("GGAVATAR_TEST_DATA", "real clips and tracking files")
