@@ -1,0 +1,163 @@
+"""Expression-driven offsets of Gaussians: the Geometry Morph Adjuster (GGAvatar Sec. 3.3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import normalize, relu
+
+from ggavatar.fields import Field
+from ggavatar.geometry import quaternion_multiply
+
+GEOMETRY_ROWS, COLOUR_ROWS = 10, 13
+"""Rows of a basis: position 3, rotation 4 and log-scale 3; with colour 3 more."""
+
+
+class Offsets(NamedTuple):
+    """Raw offsets of every Gaussian (Eq. 11); `refine` gives them units. Several conditions add a leading axis."""
+
+    means: Float[Tensor, "*B N 3"]
+    rotations: Float[Tensor, "*B N 4"]
+    log_scales: Float[Tensor, "*B N 3"]
+    colors: Float[Tensor, "*B N 3"] | None
+
+    @staticmethod
+    def of(rows: Float[Tensor, "*B N R"]) -> Offsets:
+        """Name the columns of the product W·f; 10 columns, or 13 with colour."""
+        return Offsets(
+            rows[..., :3], rows[..., 3:7], rows[..., 7:10], rows[..., 10:] if rows.shape[-1] > GEOMETRY_ROWS else None
+        )
+
+
+class Placement(NamedTuple):
+    """Refined geometry in the world."""
+
+    means: Float[Tensor, "N 3"]
+    quats: Float[Tensor, "N 4"]
+    scales: Float[Tensor, "N 3"]
+
+
+@dataclass(frozen=True)
+class AdjusterConfig:
+    """Sizes of the Geometry Morph Adjuster; the paper states none of them (docs/paper.md, A8)."""
+
+    latent: int = 32
+    """Length L of the latent vector f, the number of bases."""
+    hidden: int = 64
+    """Width of the two hidden layers of the basis network."""
+    latent_hidden: int = 128
+    """Width of the two hidden layers of the latent network."""
+    rows: int = GEOMETRY_ROWS
+    """Rows of a basis: 10 for geometry, 13 with colour."""
+
+
+class BasisAdjuster(nn.Module):
+    """Offsets W(x)·f(ψ, θ) from a field of bases and one small latent vector.
+
+    The basis network ends in W = A h + c. Training never builds W: A and c are contracted with f first, which is the
+    same product in another order, so that the cost does not depend on L. A and c start at zero, so the adjuster starts
+    as the identity, while f is not zero and carries gradient into them (docs/paper.md, A7).
+
+    Args:
+        field: Features of canonical positions.
+        conditions: Length C of the condition vector (expression and pose).
+        config: Sizes.
+        generator: Draws the initial weights.
+
+    References:
+        GGAvatar Eq. 9–11.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        conditions: int,
+        config: AdjusterConfig,
+        generator: torch.Generator,
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.field = field
+        self.basis_network = nn.ModuleList(
+            [linear(field.width, config.hidden, generator), linear(config.hidden, config.hidden, generator)]
+        )
+        width = config.latent_hidden
+        self.latent_network = nn.Sequential(
+            linear(conditions, width, generator), nn.ReLU(),
+            linear(width, width, generator), nn.ReLU(),
+            linear(width, config.latent, generator),
+        )  # fmt: skip
+        self.last_weight = nn.Parameter(torch.zeros(config.rows, config.latent, config.hidden))
+        self.last_bias = nn.Parameter(torch.zeros(config.rows, config.latent))
+
+    def forward(self, x: Float[Tensor, "N 3"], condition: Float[Tensor, "*B C"]) -> Offsets:
+        """Offsets at canonical positions `x` (m, no gradient); a batch of conditions shares one look at the field."""
+        return self.offsets(self.hidden(x), self.latent(condition))
+
+    def latent(self, condition: Float[Tensor, "*B C"]) -> Float[Tensor, "*B L"]:
+        """The latent vector f (Eq. 10)."""
+        return self.latent_network(condition)
+
+    def hidden(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
+        """The last hidden layer h of the basis network; independent of the condition."""
+        first, second = self.basis_network
+        return relu(second(relu(first(self.field(x)))))
+
+    @torch.no_grad()
+    def cache(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
+        """`hidden(x)` to keep while nothing is trained: a frame then costs `offsets(kept, latent(condition))`."""
+        return self.hidden(x)
+
+    def offsets(self, hidden: Float[Tensor, "N H"], latent: Float[Tensor, "*B L"]) -> Offsets:
+        """The product W·f (Eq. 11), with the last layer contracted with f first."""
+        weight = torch.tensordot(latent, self.last_weight, dims=([-1], [1]))
+        bias = latent @ self.last_bias.T
+        return Offsets.of(hidden @ weight.transpose(-1, -2) + bias[..., None, :])
+
+    def basis(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N R L"]:
+        """W itself (Eq. 9), for export and tests; N × rows × L numbers."""
+        return torch.einsum("nh,rlh->nrl", self.hidden(x), self.last_weight) + self.last_bias
+
+
+def linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
+    """A fully connected layer with torch's default distribution, drawn from `generator`."""
+    layer = nn.utils.skip_init(nn.Linear, inputs, outputs)
+    bound = 1 / math.sqrt(inputs)
+    nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
+    nn.init.uniform_(layer.bias, -bound, bound, generator=generator)
+    return layer
+
+
+def refine(
+    means: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    offsets: Offsets,
+    unit: float = 0.01,
+    rotation: Literal["product", "add"] = "product",
+) -> Placement:
+    """The refined ⊕ of Eq. 12; zero offsets leave everything as it is.
+
+    Args:
+        means: Positions carried by the mesh, m.
+        quats: Unit quaternions carried by the mesh, wxyz.
+        scales: Standard deviations carried by the mesh, m.
+        offsets: W·f of one condition.
+        unit: Metres per unit of the position offset (docs/paper.md, A6).
+        rotation: "product" turns by the unit quaternion of (1, 0, 0, 0) + Δr in world axes, whatever the sign of
+            `quats` (A4); "add" adds Δr to the quaternion and normalises, as TalkingGaussian does.
+
+    Returns:
+        Means + unit·Δμ, unit quaternions, and scales · exp(Δs) (A5).
+    """
+    if rotation == "add":
+        turned = normalize(quats + offsets.rotations, dim=-1)
+    else:
+        identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
+        turned = quaternion_multiply(normalize(identity + offsets.rotations, dim=-1), quats)
+    return Placement(means + unit * offsets.means, turned, scales * torch.exp(offsets.log_scales))

@@ -1,0 +1,172 @@
+"""Features of canonical positions: a multi-resolution hash tri-plane (GGAvatar H³) and Fourier features.
+
+Positions are lookup keys: no gradient flows into them (docs/paper.md, A11). The paper treats them so, bilinear hash
+gradients are discontinuous, and they would fight the rate of the local positions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+PLANES = ((0, 1), (0, 2), (1, 2))
+"""The pairs of axes of the three planes: xy, xz, yz."""
+
+PRIME = 2654435761
+
+
+class Field(Protocol):
+    """Anything that turns positions in metres into features."""
+
+    width: int
+    """Number of features."""
+
+    def __call__(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
+        """Features at `x` (m)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned cube that positions are normalised by; points outside are clamped to its surface."""
+
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Centre, m."""
+    side: float = 0.4
+    """Length of an edge, m."""
+
+    @staticmethod
+    def around(points: Float[Tensor, "V 3"], margin: float = 1.4) -> Box:
+        """The cube at the centre of the points' bounds, its side `margin` times their longest (docs/paper.md, A10)."""
+        low, high = points.detach().amin(0), points.detach().amax(0)
+        center = ((low + high) / 2).tolist()
+        return Box((center[0], center[1], center[2]), margin * float((high - low).max()))
+
+    def normalise(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        """Positions in [0, 1] within the box."""
+        return ((x - x.new_tensor(self.center)) / self.side + 0.5).clamp(0, 1)
+
+
+@dataclass(frozen=True)
+class HashTriplaneConfig:
+    """Size of a hash tri-plane; the defaults are docs/paper.md, A9 (72 features, 1.06 million parameters)."""
+
+    levels: int = 12
+    """Resolutions, in geometric progression."""
+    features: int = 2
+    """Features of a table entry."""
+    base: int = 16
+    """Cells along a side at the coarsest level."""
+    finest: int = 512
+    """Cells along a side at the finest level."""
+    log2_size: int = 15
+    """Binary logarithm of the largest number of entries of a table; a level that needs more is hashed."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution of a plane."""
+
+    scale: float
+    """Cells along the unit side, less one."""
+    side: int
+    """Grid vertices along a side."""
+    size: int
+    """Entries of the table."""
+    offset: int
+    """First entry within the plane's part of the tables."""
+
+    @property
+    def hashed(self) -> bool:
+        """Whether the table is smaller than the grid."""
+        return self.side**2 > self.size
+
+
+def levels_of(config: HashTriplaneConfig) -> tuple[Level, ...]:
+    """The levels of one plane, laid out as in tiny-cuda-nn: ⌈base·bⁱ⌉ + 1 vertices a side, sizes rounded up to 8."""
+    growth = (config.finest / config.base) ** (1 / max(config.levels - 1, 1))
+    found: list[Level] = []
+    offset = 0
+    for index in range(config.levels):
+        cells = round(config.base * growth**index, 6)
+        side = math.ceil(cells) + 1
+        size = min(2**config.log2_size, math.ceil(side**2 / 8) * 8)
+        found.append(Level(cells - 1, side, size, offset))
+        offset += size
+    return tuple(found)
+
+
+class HashTriplane(nn.Module):
+    """Multi-resolution hash tables on the planes xy, xz and yz, their bilinear features concatenated (as in ER-NeRF).
+
+    Args:
+        config: Resolutions and table sizes.
+        box: The cube that positions are normalised by.
+        generator: Draws the initial entries, uniform in ±1e-4.
+
+    References:
+        Müller et al. 2022 (hash encoding); GGAvatar Sec. 3.3.
+    """
+
+    def __init__(self, config: HashTriplaneConfig, box: Box, generator: torch.Generator) -> None:
+        super().__init__()
+        self.config, self.box, self.levels = config, box, levels_of(config)
+        self.width = len(PLANES) * config.levels * config.features
+        entries = sum(level.size for level in self.levels)
+        start = torch.rand(len(PLANES) * entries, config.features, generator=generator)
+        self.tables = nn.Parameter((2 * start - 1) * 1e-4)
+
+    def forward(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
+        """Features at `x` (m), plane by plane, level by level; differentiable in the tables only."""
+        return lookup_in_torch(self.box.normalise(x.detach()), self.tables, self.levels)
+
+
+def lookup_in_torch(
+    unit: Float[Tensor, "N 3"], tables: Float[Tensor, "T F"], levels: tuple[Level, ...]
+) -> Float[Tensor, "N D"]:
+    """Bilinear features of positions in [0, 1]³ in plain torch: any dtype and device."""
+    entries = sum(level.size for level in levels)
+    found = []
+    for plane, axes in enumerate(PLANES):
+        for level in levels:
+            index, weight = _corners(unit[:, axes], level)
+            found.append((tables[plane * entries + level.offset + index] * weight[..., None]).sum(1))
+    return torch.cat(found, dim=-1)
+
+
+def _corners(uv: Float[Tensor, "N 2"], level: Level) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
+    """Table entries of the four grid vertices around each point, and their bilinear weights."""
+    position = uv * level.scale + 0.5
+    cell = position.floor()
+    fraction = position - cell
+    corner = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]], device=uv.device)
+    vertex = cell.long()[:, None] + corner
+    weight = torch.where(corner == 1, fraction[:, None], 1 - fraction[:, None]).prod(-1)
+    if level.hashed:
+        return (vertex[..., 0] ^ (vertex[..., 1] * PRIME)) % level.size, weight
+    return vertex[..., 0] + vertex[..., 1] * level.side, weight
+
+
+class FourierFeatures(nn.Module):
+    """Sines and cosines of 2ᵏπx beside x itself, x in [−1, 1] within the box (the ablation without the tri-plane).
+
+    References:
+        Mildenhall et al. 2020, Eq. 4 (with the factor π); docs/paper.md, ablations.
+    """
+
+    def __init__(self, box: Box, octaves: int = 10) -> None:
+        super().__init__()
+        self.box, self.octaves = box, octaves
+        self.width = 3 + 6 * octaves
+
+    def forward(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
+        """Features at `x` (m): x, then sine and cosine of every octave; no gradient."""
+        signed = 2 * self.box.normalise(x.detach()) - 1
+        frequencies = math.pi * 2.0 ** torch.arange(self.octaves, device=x.device, dtype=x.dtype)
+        angles = signed[:, None, :] * frequencies[:, None]
+        return torch.cat((signed, torch.cat((angles.sin(), angles.cos()), dim=-1).flatten(1)), dim=-1)
