@@ -1,0 +1,144 @@
+"""Perceptual loss on VGG16 features (Johnson et al. 2016), on whole images or on crops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import conv2d, max_pool2d, relu
+
+from ggavatar.errors import InputError
+from ggavatar.weights import VGG16, VGG16_TO_RELU2_2, load_weights, locate
+
+BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21))
+"""Convolutions of VGG16's first four blocks, as torchvision numbers them; each block ends in a rectifier that is compared."""
+ENDS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3")
+WIDTHS = (64, 128, 256, 512)
+IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+Features = tuple[Tensor, ...]
+
+
+class PerceptualLoss(nn.Module):
+    """Mean absolute difference of rectified VGG16 features, summed over the blocks with equal weights (docs/paper.md, A18).
+
+    The weights are buffers that no checkpoint holds.
+
+    Attributes:
+        name: Which features: "vgg16-relu4_3" in full, "vgg16-relu2_2" with the first two blocks only, "random-vgg" for untrained ones.
+            Say it wherever a figure depends on it, and never call such a figure LPIPS.
+
+    References:
+        Johnson et al. 2016; GGAvatar Eq. 16 (λ2); Liu et al. 2021 (arXiv 2103.10571) for untrained weights.
+    """
+
+    def __init__(self, name: str, state: dict[str, Tensor], blocks: int = len(BLOCKS)) -> None:
+        """Take the convolutions of the first `blocks` blocks out of `state` (torchvision's keys)."""
+        super().__init__()
+        self.name, self.blocks = name, BLOCKS[:blocks]
+        for index in (index for block in self.blocks for index in block):
+            weight = state[f"features.{index}.weight"].float().contiguous(memory_format=torch.channels_last)
+            self.register_buffer(f"weight_{index}", weight, persistent=False)
+            self.register_buffer(f"bias_{index}", state[f"features.{index}.bias"].float(), persistent=False)
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN), persistent=False)
+        self.register_buffer("deviation", torch.tensor(IMAGENET_DEVIATION), persistent=False)
+
+    def forward(self, image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"] | Features) -> Float[Tensor, ""]:
+        """The loss of an image in [0, 1] against a target image, or against `features` kept of it; at least 8 px a side."""
+        with torch.no_grad():
+            wanted = self.features(target) if isinstance(target, Tensor) else target
+        pairs = zip(self.features(image), wanted, strict=True)
+        return torch.stack([(ours - theirs).abs().mean() for ours, theirs in pairs]).sum()
+
+    def features(self, image: Float[Tensor, "H W 3"]) -> Features:
+        """Rectified features at the end of every block."""
+        # Permuting H W 3 gives channels_last for nothing, which is also the faster layout for convolutions on CPUs.
+        maps = ((image - self.mean) / self.deviation).permute(2, 0, 1)[None]
+        found: list[Tensor] = []
+        for number, block in enumerate(self.blocks):
+            maps = max_pool2d(maps, 2) if number else maps
+            for index in block:
+                maps = relu(
+                    conv2d(maps, self.get_buffer(f"weight_{index}"), self.get_buffer(f"bias_{index}"), padding=1)
+                )
+            found.append(maps)
+        return tuple(found)
+
+
+def perceptual_loss(folder: Path | None = None, required: bool = False, seed: int = 0) -> PerceptualLoss:
+    """The best perceptual loss that can be had: all of VGG16, its first two blocks, or an untrained stand-in; see `.name`.
+
+    Args:
+        folder: Searched for weights before $GGAVATAR_MODELS and the user's cache.
+        required: Refuse the untrained stand-in.
+        seed: Of the stand-in's weights.
+
+    Raises:
+        InputError: If trained weights are `required` and none are found, or if a file is damaged.
+    """
+    for model, name, blocks in ((VGG16, "vgg16-relu4_3", 4), (VGG16_TO_RELU2_2, "vgg16-relu2_2", 2)):
+        path = locate(model, folder)
+        if path is not None:
+            return PerceptualLoss(name, load_weights(path), blocks)
+    if required:
+        raise InputError(
+            f"expected the weights of VGG16 for the perceptual loss, found none; put {VGG16.file} ({VGG16.source}) into a folder "
+            "and name it by $GGAVATAR_MODELS"
+        )
+    return PerceptualLoss("random-vgg", random_weights(seed))
+
+
+def random_weights(seed: int) -> dict[str, Tensor]:
+    """Untrained weights for all blocks (He et al. 2015: rectifiers keep the variance), without biases."""
+    generator = torch.Generator().manual_seed(seed)
+    state: dict[str, Tensor] = {}
+    inputs = 3
+    for block, width in zip(BLOCKS, WIDTHS, strict=True):
+        for index in block:
+            deviation = (2 / (9 * inputs)) ** 0.5
+            state[f"features.{index}.weight"] = torch.randn(width, inputs, 3, 3, generator=generator) * deviation
+            state[f"features.{index}.bias"] = torch.zeros(width)
+            inputs = width
+    return state
+
+
+@dataclass(frozen=True)
+class CropSampler:
+    """Where the cheap mode looks: a square window in some steps, often centred on given boxes."""
+
+    side: int = 128
+    """Edge of the window, px; clipped to the image."""
+    probability: float = 0.2
+    """Chance that a step is looked at."""
+    focused: float = 0.5
+    """Chance that a window is centred on one of the boxes (mouth, eyes), if there are any."""
+
+    def draw(
+        self,
+        height: int,
+        width: int,
+        generator: torch.Generator,
+        boxes: Sequence[tuple[float, float, float, float]] = (),
+    ) -> tuple[slice, slice] | None:
+        """Rows and columns of a window, or None if this step is not looked at.
+
+        Args:
+            height: Of the image, px.
+            width: Of the image, px.
+            generator: On the CPU; five numbers are drawn whatever comes out.
+            boxes: Left, top, right and bottom of regions that matter, px; one is chosen evenly.
+        """
+        look, focus, which, across, down = torch.rand(5, generator=generator).tolist()
+        if look >= self.probability:
+            return None
+        tall, wide = min(self.side, height), min(self.side, width)
+        left, top = across * (width - wide + 1), down * (height - tall + 1)
+        if boxes and focus < self.focused:
+            box = boxes[int(which * len(boxes))]
+            left, top = (box[0] + box[2] - wide) / 2, (box[1] + box[3] - tall) / 2
+        row, column = min(max(int(top), 0), height - tall), min(max(int(left), 0), width - wide)
+        return slice(row, row + tall), slice(column, column + wide)

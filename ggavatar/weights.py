@@ -1,0 +1,141 @@
+"""Where pretrained weights come from: a folder named by the user, $GGAVATAR_MODELS, or the user's cache. Nothing is ever fetched."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ggavatar.errors import InputError
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A file of pretrained weights that we know.
+
+    Attributes:
+        name: What it is, for messages.
+        file: File name, below one of the searched folders.
+        sha256: Digest of the whole file, lower-case hexadecimal.
+        licence: SPDX identifier.
+        source: Where a user gets it.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    licence: str
+    source: str
+
+
+VGG16 = ModelFile(
+    name="VGG16 trained on ImageNet (torchvision)",
+    file="vgg16-397923af.pth",
+    sha256="397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
+    licence="BSD-3-Clause",
+    source="https://download.pytorch.org/models/vgg16-397923af.pth",
+)
+VGG16_TO_RELU2_2 = ModelFile(
+    name="first four convolutions of VGG16, torchvision's key layout",
+    file="vgg16_features_to_relu2_2.pth",
+    sha256="39ad811babdd2895d51b672bc95d988b706472d9bc3c0b3a196a686adf8b913b",
+    licence="BSD-3-Clause",
+    source="features.0, 2, 5 and 7 of VGG16; prefer the whole vgg16-397923af.pth",
+)
+ALEXNET_FEATURES = ModelFile(
+    name="convolutions of AlexNet trained on ImageNet, torchvision's key layout",
+    file="alexnet_features.pth",
+    sha256="f09b8eb824fec9468cafd1cc60237886fdf39e7b11bcdface2c7804c63bf428b",
+    licence="BSD-3-Clause",
+    source="the features.* entries of torchvision's AlexNet",
+)
+SQUEEZENET_FEATURES = ModelFile(
+    name="convolutions of SqueezeNet 1.1 trained on ImageNet, torchvision's key layout",
+    file="squeezenet1_1_features.pth",
+    sha256="e2c7ed7206455f3669cff35a308090764dc5894a7772e9ff3a0a296b7497817f",
+    licence="BSD-3-Clause",
+    source="the features.* entries of torchvision's SqueezeNet 1.1",
+)
+
+
+def _lpips_head(network: str, sha256: str) -> ModelFile:
+    source = f"https://github.com/richzhang/PerceptualSimilarity, lpips/weights/v0.1/{network}.pth"
+    return ModelFile(f"LPIPS v0.1 head, {network}", f"lpips_heads_v0.1/{network}.pth", sha256, "BSD-2-Clause", source)
+
+
+LPIPS_HEADS = {
+    "alex": _lpips_head("alex", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0"),
+    "squeeze": _lpips_head("squeeze", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76"),
+    "vgg": _lpips_head("vgg", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868"),
+}
+
+
+def model_folders(folder: Path | None = None) -> tuple[Path, ...]:
+    """The folders searched, in order: `folder`, $GGAVATAR_MODELS, the user's cache."""
+    from_environment = os.environ.get("GGAVATAR_MODELS")
+    cache = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    named = [folder] if folder else []
+    return (*named, *([Path(from_environment)] if from_environment else []), Path(cache) / "ggavatar" / "models")
+
+
+def locate(model: ModelFile, folder: Path | None = None) -> Path | None:
+    """The verified file, or None if no searched folder holds it.
+
+    Raises:
+        InputError: If a file of that name has another digest.
+    """
+    for base in model_folders(folder):
+        path = base / model.file
+        if path.is_file():
+            _verify(path, model)
+            return path
+    return None
+
+
+def require(model: ModelFile, folder: Path | None = None) -> Path:
+    """The verified file.
+
+    Raises:
+        InputError: If no searched folder holds it, saying where to get it and where to put it, or if its digest is wrong.
+    """
+    path = locate(model, folder)
+    if path is None:
+        searched = ", ".join(str(base) for base in model_folders(folder))
+        raise InputError(
+            f"expected {model.file} ({model.name}, {model.licence}), found it in none of {searched}; "
+            f"get it from {model.source} and put it into one of these folders"
+        )
+    return path
+
+
+def load_weights(path: Path) -> dict[str, Tensor]:
+    """The named tensors of a .pth file; tensors only, nothing in it is executed.
+
+    Raises:
+        InputError: If the file holds anything else.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, EOFError, RuntimeError) as error:
+        first_line = str(error).splitlines()[0]
+        raise InputError(
+            f"expected tensors by name in {path}, found something else ({first_line}); get it again"
+        ) from error
+    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
+        raise InputError(f"expected tensors by name in {path}, found {type(state).__name__}; get it again")
+    return dict(state)
+
+
+def _verify(path: Path, model: ModelFile) -> None:
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    if digest != model.sha256:
+        raise InputError(
+            f"expected SHA-256 {model.sha256} for {path} ({model.name}), found {digest}; "
+            f"get the file again from {model.source}, or remove it"
+        )
