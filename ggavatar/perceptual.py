@@ -15,8 +15,7 @@ from ggavatar.errors import InputError
 from ggavatar.weights import VGG16, VGG16_TO_RELU2_2, load_weights, locate
 
 BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21))
-"""Convolutions of VGG16's first four blocks, as torchvision numbers them; each block ends in a rectifier that is compared."""
-ENDS = ("relu1_2", "relu2_2", "relu3_3", "relu4_3")
+"""Convolutions of VGG16's first four blocks, as torchvision numbers them; the end of each block is compared."""
 WIDTHS = (64, 128, 256, 512)
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -24,13 +23,13 @@ Features = tuple[Tensor, ...]
 
 
 class PerceptualLoss(nn.Module):
-    """Mean absolute difference of rectified VGG16 features, summed over the blocks with equal weights (docs/paper.md, A18).
+    """Mean absolute difference of rectified VGG16 features, summed over the blocks (docs/paper.md, A18).
 
     The weights are buffers that no checkpoint holds.
 
     Attributes:
-        name: Which features: "vgg16-relu4_3" in full, "vgg16-relu2_2" with the first two blocks only, "random-vgg" for untrained ones.
-            Say it wherever a figure depends on it, and never call such a figure LPIPS.
+        name: Which features: "vgg16-relu4_3" in full, "vgg16-relu2_2" with the first two blocks only, "random-vgg" for
+            untrained ones. Say it wherever a figure depends on it, and never call such a figure LPIPS.
 
     References:
         Johnson et al. 2016; GGAvatar Eq. 16 (λ2); Liu et al. 2021 (arXiv 2103.10571) for untrained weights.
@@ -44,11 +43,9 @@ class PerceptualLoss(nn.Module):
             weight = state[f"features.{index}.weight"].float().contiguous(memory_format=torch.channels_last)
             self.register_buffer(f"weight_{index}", weight, persistent=False)
             self.register_buffer(f"bias_{index}", state[f"features.{index}.bias"].float(), persistent=False)
-        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN), persistent=False)
-        self.register_buffer("deviation", torch.tensor(IMAGENET_DEVIATION), persistent=False)
 
     def forward(self, image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"] | Features) -> Float[Tensor, ""]:
-        """The loss of an image in [0, 1] against a target image, or against `features` kept of it; at least 8 px a side."""
+        """The loss of an image in [0, 1], at least 8 px a side, against a target or the `features` kept of it."""
         with torch.no_grad():
             wanted = self.features(target) if isinstance(target, Tensor) else target
         pairs = zip(self.features(image), wanted, strict=True)
@@ -56,8 +53,8 @@ class PerceptualLoss(nn.Module):
 
     def features(self, image: Float[Tensor, "H W 3"]) -> Features:
         """Rectified features at the end of every block."""
-        # Permuting H W 3 gives channels_last for nothing, which is also the faster layout for convolutions on CPUs.
-        maps = ((image - self.mean) / self.deviation).permute(2, 0, 1)[None]
+        mean, deviation = image.new_tensor(IMAGENET_MEAN), image.new_tensor(IMAGENET_DEVIATION)
+        maps = ((image - mean) / deviation).permute(2, 0, 1)[None]  # channels_last, for nothing
         found: list[Tensor] = []
         for number, block in enumerate(self.blocks):
             maps = max_pool2d(maps, 2) if number else maps
@@ -70,7 +67,7 @@ class PerceptualLoss(nn.Module):
 
 
 def perceptual_loss(folder: Path | None = None, required: bool = False, seed: int = 0) -> PerceptualLoss:
-    """The best perceptual loss that can be had: all of VGG16, its first two blocks, or an untrained stand-in; see `.name`.
+    """The best perceptual loss at hand: all of VGG16, its first two blocks, or an untrained stand-in; see `.name`.
 
     Args:
         folder: Searched for weights before $GGAVATAR_MODELS and the user's cache.

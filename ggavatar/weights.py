@@ -1,4 +1,7 @@
-"""Where pretrained weights come from: a folder named by the user, $GGAVATAR_MODELS, or the user's cache. Nothing is ever fetched."""
+"""Where pretrained weights come from: a folder named by the user, $GGAVATAR_MODELS, or the user's cache.
+
+Nothing is ever fetched.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +104,7 @@ def require(model: ModelFile, folder: Path | None = None) -> Path:
     """The verified file.
 
     Raises:
-        InputError: If no searched folder holds it, saying where to get it and where to put it, or if its digest is wrong.
+        InputError: If no searched folder holds it, saying where to get it and where to put it, or if it is damaged.
     """
     path = locate(model, folder)
     if path is None:
@@ -123,9 +126,7 @@ def load_weights(path: Path) -> dict[str, Tensor]:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, EOFError, RuntimeError) as error:
         first_line = str(error).splitlines()[0]
-        raise InputError(
-            f"expected tensors by name in {path}, found something else ({first_line}); get it again"
-        ) from error
+        raise InputError(f"expected tensors by name in {path}, found else: {first_line}; get it again") from error
     if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
         raise InputError(f"expected tensors by name in {path}, found {type(state).__name__}; get it again")
     return dict(state)
