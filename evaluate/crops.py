@@ -1,0 +1,57 @@
+"""Which parts of a picture to enlarge: the squares in which the compared methods err most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A square part of a picture, px.
+
+    Attributes:
+        left: First column.
+        top: First row.
+        size: Side length.
+    """
+
+    left: int
+    top: int
+    size: int
+
+    def cut(self, image: UInt8[np.ndarray, "H W C"]) -> UInt8[np.ndarray, "S S C"]:
+        """The pixels inside."""
+        return image[self.top : self.top + self.size, self.left : self.left + self.size]
+
+    def enlarged(self, image: UInt8[np.ndarray, "H W C"], side: int) -> UInt8[np.ndarray, "S S C"]:
+        """The pixels inside, resampled to `side` px without inventing smoothness when enlarging by whole steps."""
+        cut = self.cut(image)
+        whole = side % self.size == 0
+        method = cv2.INTER_NEAREST if whole else (cv2.INTER_AREA if side < self.size else cv2.INTER_CUBIC)
+        return cv2.resize(cut, (side, side), interpolation=method)
+
+
+def choose_crops(error: Float[np.ndarray, "H W"], count: int, fraction: float = 0.2) -> list[Crop]:
+    """Squares with the largest mean error, without overlap, in descending order of error.
+
+    Args:
+        error: Error per pixel, for several methods their mean, so that the choice favours none.
+        count: How many to choose; fewer come back where no more fit.
+        fraction: Side of a square relative to the shorter side of the picture.
+
+    Returns:
+        The crops; ties are broken towards the top left, so the choice is reproducible.
+    """
+    size = max(2, round(min(error.shape) * fraction))
+    sums = cv2.boxFilter(error, -1, (size, size), anchor=(0, 0), normalize=True, borderType=cv2.BORDER_CONSTANT)
+    scores = sums[: error.shape[0] - size + 1, : error.shape[1] - size + 1].copy()
+    crops: list[Crop] = []
+    while len(crops) < count and np.isfinite(scores).any():
+        top, left = (int(index) for index in np.unravel_index(np.argmax(scores), scores.shape))
+        crops.append(Crop(left, top, size))
+        scores[max(0, top - size + 1) : top + size, max(0, left - size + 1) : left + size] = -np.inf
+    return crops

@@ -1,0 +1,58 @@
+"""Folders of 8-bit pictures named by source frame number."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ggavatar.errors import InputError
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+def frame_file(folder: Path, frame: int) -> Path:
+    """Where the picture of a frame lies in a folder of ours."""
+    return folder / f"{frame:06d}.png"
+
+
+def frame_files(folder: Path) -> dict[int, Path]:
+    """Pictures of a folder by frame number, which is the last group of digits in the name, in ascending order.
+
+    Raises:
+        InputError: If the folder is missing or holds no picture, or if two files stand for one frame.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of pictures, found none; run ggavatar-eval on the run first")
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        digits = re.findall(r"\d+", path.stem)
+        if path.suffix.lower() not in PICTURE_SUFFIXES or path.name.startswith(".") or not digits:
+            continue
+        number = int(digits[-1])
+        if number in found:
+            raise InputError(
+                f"{folder}: expected one picture per frame, found {found[number].name} and {path.name}; remove one"
+            )
+        found[number] = path
+    if not found:
+        raise InputError(f"{folder}: expected pictures named by frame number such as 000123.png, found none")
+    return dict(sorted(found.items()))
+
+
+def common_frames(folders: Sequence[Path]) -> list[int]:
+    """Frame numbers that every folder holds, ascending; `InputError` if there are none."""
+    numbers = set.intersection(*(set(frame_files(folder)) for folder in folders))
+    if not numbers:
+        raise InputError(
+            f"expected frames common to {', '.join(map(str, folders))}, found none; render the same split for all"
+        )
+    return sorted(numbers)
+
+
+def to_8_bit(image: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
+    """Values in [0, 1] as 8 bits: clamped, scaled by 255 and rounded to the nearest."""
+    return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)

@@ -1,0 +1,56 @@
+"""Error between a render and the ground truth, per pixel, and its colours on one scale for all that is compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float, UInt8
+
+LIMITS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
+COLORMAP = "inferno"
+
+
+def error_map(image: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
+    """Mean absolute difference over the three channels, in [0, 1].
+
+    Raises:
+        ValueError: If the sizes differ.
+    """
+    if image.shape != truth.shape:
+        raise ValueError(f"expected pictures of one size, got {image.shape[:2]} and {truth.shape[:2]} (height, width)")
+    difference = np.abs(image.astype(np.int16) - truth.astype(np.int16))
+    return difference.mean(axis=2, dtype=np.float32) / np.float32(255)
+
+
+def psnr(image: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "H W 3"]) -> float:
+    """Peak signal-to-noise ratio of one pair of 8-bit pictures, dB, for captions; infinite for equal ones."""
+    squared = np.square(image.astype(np.float64) - truth.astype(np.float64)).mean()
+    return float(10 * np.log10(255.0**2 / squared)) if squared > 0 else float("inf")
+
+
+def shared_limit(errors: Iterable[Float[np.ndarray, "H W"]], quantile: float = 0.98) -> float:
+    """Top of the colour scale for all given maps: the smallest round number above that quantile of each."""
+    highest = max((float(np.quantile(error, quantile)) for error in errors), default=0.0)
+    return next((limit for limit in LIMITS if limit >= highest), LIMITS[-1])
+
+
+def colored(error: Float[np.ndarray, "H W"], limit: float) -> UInt8[np.ndarray, "H W 3"]:
+    """Errors as colours, 0 black and `limit` or more the brightest of a perceptually uniform scale."""
+    indices = np.clip(error / limit * 255.0 + 0.5, 0, 255).astype(np.uint8)
+    return _palette()[indices]
+
+
+def scale_bar(height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+    """The colour scale as a horizontal bar, zero at the left."""
+    return np.repeat(colored(np.linspace(0, 1, width, dtype=np.float32)[None], 1.0), height, axis=0)
+
+
+@cache
+def _palette() -> UInt8[np.ndarray, "256 3"]:
+    """256 colours of the scale; the array must not be changed."""
+    palette = (matplotlib.colormaps[COLORMAP](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
+    palette.setflags(write=False)
+    return palette

@@ -1,0 +1,75 @@
+"""Text on pictures, set in a real typeface (DejaVu Sans, which comes with matplotlib) without any global figure."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.font_manager import FontProperties
+
+INK = (34, 34, 40)
+PAPER = (255, 255, 255)
+MUTED = (110, 110, 120)
+
+Color = tuple[int, int, int]
+
+
+@lru_cache(maxsize=512)
+def coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H W"]:
+    """How much of every pixel a line of text covers, in [0, 1]; the height depends on the size alone, so lines align.
+
+    Args:
+        text: One line; mathematical markup is not interpreted.
+        size: Height of the em square, px.
+        bold: Set in the bold face.
+    """
+    font = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal", size=size)
+    measuring = RendererAgg(8, 8, 72)
+    width = measuring.get_text_width_height_descent(text, font, False)[0] if text else 0
+    renderer = RendererAgg(ceil(width) + 2, ceil(size * 1.3), 72)
+    if text:
+        renderer.draw_text(renderer.new_gc(), 1, round(size), text, font, 0)
+    covered = np.asarray(renderer.buffer_rgba())[..., 3].astype(np.float32) / 255
+    covered.setflags(write=False)
+    return covered
+
+
+def put(
+    image: UInt8[np.ndarray, "H W 3"], covered: Float[np.ndarray, "h w"], left: int, top: int, color: Color = INK
+) -> None:
+    """Ink a coverage onto `image` in place; what falls outside is cut off."""
+    first_row, first_column = max(0, -top), max(0, -left)
+    part = covered[first_row : image.shape[0] - top, first_column : image.shape[1] - left, None]
+    if part.size == 0:
+        return
+    row, column = max(0, top), max(0, left)
+    target = image[row : row + part.shape[0], column : column + part.shape[1]]
+    target[:] = np.round(target * (1 - part) + np.array(color, np.float32) * part)
+
+
+def fitted(text: str, size: float, width: int, bold: bool = False) -> Float[np.ndarray, "H W"]:
+    """A line of text no wider than `width` px: smaller type first (to 70 %), then cut with an ellipsis."""
+    for factor in (1.0, 0.85, 0.7):
+        covered = coverage(text, size * factor, bold)
+        if covered.shape[1] <= width:
+            return covered
+    while len(text) > 1 and coverage(text + "…", size * 0.7, bold).shape[1] > width:
+        text = text[:-1]
+    return coverage(text + "…", size * 0.7, bold)
+
+
+def strip(
+    texts: list[str], widths: list[int], size: float, color: Color = INK, paper: Color = PAPER, bold: bool = False
+) -> UInt8[np.ndarray, "H W 3"]:
+    """A band with one centred text per field; the fields lie side by side."""
+    height = ceil(size * 1.9)
+    band = np.full((height, sum(widths), 3), paper, np.uint8)
+    left = 0
+    for text, width in zip(texts, widths, strict=True):
+        covered = fitted(text, size, width - 4, bold)
+        put(band, covered, left + (width - covered.shape[1]) // 2, (height - covered.shape[0]) // 2, color)
+        left += width
+    return band

@@ -1,0 +1,181 @@
+"""Render the frames of a split to disk: what every metric, table and figure is computed from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from evaluate.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
+from evaluate.frame_files import frame_file, to_8_bit
+from evaluate.ground_truth import Pictures, Truth
+from ggavatar.arrays import write_atomically
+from ggavatar.core import Frame
+from ggavatar.errors import InputError
+from ggavatar.pictures import write_png
+
+FOLDERS = ("predictions", "ground_truth", "masks")
+SUMMARY = "predict.json"
+
+Progress = Callable[[int, int], None]
+
+
+class Renderable(Protocol):
+    """The part of `ggavatar.runs.Run` that predicting needs."""
+
+    avatar: Any
+    rasterize: Any
+    capture: Pictures
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[Frame]:
+        """Frames by source number, in the order asked."""
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to predict, and what makes files of an earlier call reusable.
+
+    Attributes:
+        frames: Source frame numbers, in the order to render.
+        truth: Background and size of render and ground truth.
+        identity: Plain values that must be equal for existing files to count as done: method, step, protocol.
+    """
+
+    frames: tuple[int, ...]
+    truth: Truth
+    identity: dict[str, Any]
+
+    def described(self) -> dict[str, Any]:
+        """Everything as plain JSON values."""
+        size = list(self.truth.size) if self.truth.size else None
+        content = {"background": list(self.truth.background), "size": size, "binary_mask": self.truth.binary_mask}
+        return {**content, "frames": sorted(self.frames), "identity": self.identity}
+
+    def key(self) -> str:
+        """SHA-256 of `described` as JSON with sorted keys."""
+        return hashlib.sha256(json.dumps(self.described(), sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def predict_frames(run: Renderable, job: Job, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Write `predictions/`, `ground_truth/` and `masks/` as 8-bit PNG named by source frame number, and `predict.json`.
+
+    Files of an earlier call for the same job are kept, so an interrupted call continues where it was.
+
+    Args:
+        run: The opened run.
+        job: Frames, background and identity.
+        folder: Where to write; made if missing.
+        progress: Called with (done, total) before the first and after every frame.
+
+    Returns:
+        The content of `predict.json`: frames, number of Gaussians, model size, timing and peak memory.
+
+    Raises:
+        InputError: If the folder holds anything but predictions of this job, or the job has no frames.
+    """
+    if not job.frames:
+        raise InputError("expected at least one frame to render, found none; choose another split or protocol")
+    summary = _claimed(folder, job)
+    missing = [frame for frame in job.frames if not _done(folder, frame)]
+    done = len(job.frames) - len(missing)
+    report = progress or (lambda done, total: None)
+    report(done, len(job.frames))
+    seconds: list[float] = []
+    counts: list[int] = []
+    for number, frame in zip(missing, run.frames(missing), strict=True):
+        image, mask = job.truth.of(run.capture, number)
+        camera = frame.camera.resized(image.shape[1], image.shape[0])
+        rendering, gaussians, elapsed = timed_render(
+            run.avatar, run.rasterize, (frame.drive, camera), job.truth.background
+        )
+        _write_frame(folder, number, (pixels_of(rendering.image), image, mask))
+        seconds.append(elapsed)
+        counts.append(gaussians.means.shape[0])
+        report(done + len(seconds), len(job.frames))
+    if missing or not summary["complete"]:
+        summary = {**summary, **_measured(run.avatar, seconds, counts), "complete": True}
+        _write_summary(folder, summary)
+    return summary
+
+
+def pixels_of(image: Float[Tensor, "H W C"]) -> np.ndarray:
+    """A picture in [0, 1] as 8-bit pixels on the host; a single channel loses its axis."""
+    pixels = to_8_bit(image.detach().float().cpu().numpy())
+    return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
+
+
+def _write_frame(folder: Path, number: int, pictures: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    for name, picture in zip(FOLDERS, pictures, strict=True):
+        write_png(frame_file(folder / name, number), picture)
+
+
+def _done(folder: Path, frame: int) -> bool:
+    return all(frame_file(folder / name, frame).is_file() for name in FOLDERS)
+
+
+def _claimed(folder: Path, job: Job) -> dict[str, Any]:
+    """Make the folder ours, or check that it already is, and return its summary so far."""
+    path = folder / SUMMARY
+    if path.is_file():
+        return _matching(path, job)
+    if folder.is_dir() and any((folder / name).exists() for name in FOLDERS):
+        raise InputError(
+            f"{folder}: expected no pictures, found some of unknown origin (no {SUMMARY}); choose another -o"
+        )
+    summary: dict[str, Any] = {
+        "schema": "ggavatar-predictions",
+        "version": 1,
+        "key": job.key(),
+        **job.described(),
+        "complete": False,
+    }
+    _write_summary(folder, summary)
+    return summary
+
+
+def _matching(path: Path, job: Job) -> dict[str, Any]:
+    """The summary at `path`, if it was written for this job."""
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        key, complete = summary["key"], bool(summary["complete"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: expected a summary of predictions, found something else ({error!r}); choose another -o"
+        ) from error
+    if key != job.key():
+        wanted = job.described()
+        changed = [name for name, value in wanted.items() if summary.get(name) != value]
+        raise InputError(
+            f"{path.parent}: holds predictions that differ from those asked for in {', '.join(changed) or 'their key'} "
+            f"(found {[summary.get(name) for name in changed][:3]}); choose another -o or delete the folder"
+        )
+    return {**summary, "complete": complete}
+
+
+def _measured(avatar: torch.nn.Module, seconds: list[float], counts: list[int]) -> dict[str, Any]:
+    """Costs; timing and counts only where this call rendered enough to tell."""
+    device = device_of(avatar)
+    found: dict[str, Any] = {
+        "model_megabytes": model_megabytes(avatar),
+        "peak_memory_megabytes": peak_memory_megabytes(device),
+    }
+    if counts:
+        found["gaussians"] = {"median": int(statistics.median(counts)), "max": max(counts)}
+    if len(seconds) > 1:
+        found["timing"] = timing(seconds[1:], device)
+    return found
+
+
+def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    write_atomically(folder / SUMMARY, lambda stream: stream.write(text.encode()))

@@ -1,0 +1,133 @@
+"""H.264 video from 8-bit pictures, and the side-by-side video of an evaluation."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
+from jaxtyping import UInt8
+
+from evaluate.frame_files import common_frames, frame_files
+from evaluate.heatmap import colored, error_map, psnr, shared_limit
+from evaluate.lettering import INK, MUTED, strip
+from evaluate.sheet import type_size
+from ggavatar.errors import InputError
+from ggavatar.pictures import read_rgb
+
+CRF = 18
+
+
+@contextlib.contextmanager
+def video_writer(path: Path, fps: float, crf: int = CRF) -> Iterator[Callable[[np.ndarray], None]]:
+    """Open a video and give a function that appends 8-bit RGB pictures to it, all of one size.
+
+    H.264, 4:2:0, BT.709, playable in browsers; odd sizes are padded by repeating the last row or column. The file
+    appears under its name when it is whole; on an exception nothing is left.
+
+    Args:
+        path: The file to write, .mp4.
+        fps: Pictures per second.
+        crf: Quality, 0 (lossless) to 51; 18 is visually lossless.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.partial.mp4")
+    try:
+        with av.open(str(partial), "w", options={"movflags": "faststart"}) as container:
+            stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+            stream.options = {"crf": str(crf), "preset": "medium"}
+            stream.pix_fmt = "yuv420p"
+            count = 0
+
+            def append(image: np.ndarray) -> None:
+                nonlocal count
+                if count == 0:
+                    _describe(
+                        stream.codec_context, image.shape[1] + image.shape[1] % 2, image.shape[0] + image.shape[0] % 2
+                    )
+                container.mux(stream.encode(_converted(image, count)))
+                count += 1
+
+            yield append
+            if count:
+                container.mux(stream.encode(None))
+        if not count:
+            raise InputError(f"{path}: expected at least one picture for the video, found none")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _describe(context: av.VideoCodecContext, width: int, height: int) -> None:
+    """Size and colour, so that players convert back with the matrix that was used."""
+    context.width, context.height = width, height
+    context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
+    context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.IEC61966_2_1
+
+
+def _converted(image: UInt8[np.ndarray, "H W 3"], index: int) -> av.VideoFrame:
+    even = cv2.copyMakeBorder(image, 0, image.shape[0] % 2, 0, image.shape[1] % 2, cv2.BORDER_REPLICATE)
+    frame = av.VideoFrame.from_ndarray(even, format="rgb24").reformat(
+        format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG
+    )
+    frame.pts = index
+    return frame
+
+
+def write_video(path: Path, images: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float, crf: int = CRF) -> None:
+    """Encode pictures as they come, holding one at a time; see `video_writer`."""
+    with video_writer(path, fps, crf) as append:
+        for image in images:
+            append(image)
+
+
+def playback_fps(frames: Sequence[int], fps: float) -> float:
+    """Speed at which a split can be watched: the source's own where its frames follow each other, else 4 a second."""
+    steps = np.diff(sorted(frames))
+    return fps if len(steps) and np.median(steps) == 1 else min(fps, 4.0)
+
+
+def write_side_by_side(
+    path: Path,
+    predictions: Path,
+    truth: Path,
+    fps: float = 25.0,
+    name: str = "Render",
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Ground truth, render and error side by side, with frame number and PSNR, for all frames that both folders hold.
+
+    Args:
+        path: The file to write, .mp4.
+        predictions: Folder of renders.
+        truth: Folder of ground truth.
+        fps: Of the source; a split with gaps is shown slower (`playback_fps`).
+        name: Heading of the renders.
+        progress: Called with (done, total) after every frame.
+    """
+    frames = common_frames([predictions, truth])
+    renders, truths = frame_files(predictions), frame_files(truth)
+    sampled = frames[:: max(1, len(frames) // 20)]
+    limit = shared_limit(error_map(read_rgb(renders[frame]), read_rgb(truths[frame])) for frame in sampled)
+    with video_writer(path, playback_fps(frames, fps)) as append:
+        for done, frame in enumerate(frames, start=1):
+            append(_panel(frame, read_rgb(renders[frame]), read_rgb(truths[frame]), name, limit))
+            if progress:
+                progress(done, len(frames))
+
+
+def _panel(frame: int, render: np.ndarray, truth: np.ndarray, name: str, limit: float) -> UInt8[np.ndarray, "H W 3"]:
+    """One picture of the video: headings, three pictures, captions."""
+    pictures = np.concatenate((truth, render, colored(error_map(render, truth), limit)), axis=1)
+    widths, size = [truth.shape[1]] * 3, type_size(truth.shape[1])
+    head = strip(["Ground truth", name, f"Error, 0 to {limit:g}"], widths, size, INK, bold=True)
+    quality = psnr(render, truth)
+    foot = strip(
+        [f"frame {frame}", "identical" if np.isinf(quality) else f"{quality:.2f} dB", ""], widths, size * 0.85, MUTED
+    )
+    return np.concatenate((head, pictures, foot))
