@@ -1,0 +1,192 @@
+"""Reading and writing npz archives of plain arrays.
+
+No pickled objects, no allocation before the sizes are known, atomic writes.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Mapping
+from math import prod
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+
+from ggavatar.errors import InputError
+
+MAX_ARCHIVE_BYTES = 1 << 29
+"""Largest sum of uncompressed arrays that is read from one archive (512 MiB).
+
+A FLAME model takes 100 MB, an hour of tracking 50 MB.
+"""
+
+MAX_MEMBERS = 4096
+
+
+class ArrayHeader(NamedTuple):
+    """Shape and type of a stored array, known before any of it is read."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+def npz_headers(path: Path) -> dict[str, ArrayHeader]:
+    """Shapes and types of all arrays in an npz file.
+
+    `InputError` if it is not one or claims more than `MAX_ARCHIVE_BYTES`.
+    """
+    with _opened(path) as archive:
+        return {name: header for name, header, _ in _members(path, archive)}
+
+
+def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, np.ndarray]:
+    """Read arrays from an npz file without ever unpickling.
+
+    Args:
+        path: The file.
+        names: Arrays wanted; those that are absent are left out. None reads all.
+
+    Returns:
+        Arrays by name, each owning its memory.
+
+    Raises:
+        InputError: Not a zip, damaged, an array of Python objects, or larger than `MAX_ARCHIVE_BYTES` when unpacked.
+    """
+    arrays = {}
+    with _opened(path) as archive:
+        for name, header, info in _members(path, archive):
+            if names is None or name in names:
+                arrays[name] = _read_member(path, archive, name, header, info)
+    return arrays
+
+
+def _read_member(
+    path: Path, archive: zipfile.ZipFile, name: str, header: ArrayHeader, info: zipfile.ZipInfo
+) -> np.ndarray:
+    try:
+        with archive.open(info) as stream:
+            array = npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError) as error:
+        raise InputError(f"{path}: array {name!r} cannot be read ({error}); make the file again") from error
+    if array.shape != header.shape:
+        raise InputError(f"{path}: array {name!r} changed its shape while it was read; make the file again")
+    return array
+
+
+class _opened:
+    """An open zip archive; anything wrong with the file becomes an `InputError`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> zipfile.ZipFile:
+        try:
+            self._archive = zipfile.ZipFile(self._path)
+        except FileNotFoundError as error:
+            raise InputError(f"{self._path}: no such file") from error
+        except IsADirectoryError as error:
+            raise InputError(f"{self._path}: expected an npz file, found a folder") from error
+        except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError) as error:
+            raise InputError(
+                f"{self._path}: expected an npz file, found something else or a damaged one ({error})"
+            ) from error
+        return self._archive
+
+    def __exit__(self, *_: object) -> None:
+        self._archive.close()
+
+
+def _members(path: Path, archive: zipfile.ZipFile) -> list[tuple[str, ArrayHeader, zipfile.ZipInfo]]:
+    """Names, headers and entries of the arrays, after checking their sizes."""
+    infos = archive.infolist()
+    if len(infos) > MAX_MEMBERS:
+        raise InputError(f"{path}: expected at most {MAX_MEMBERS} arrays, found {len(infos)}")
+    claimed = sum(info.file_size for info in infos)
+    if claimed > MAX_ARCHIVE_BYTES:
+        raise InputError(
+            f"{path}: unpacks to {claimed >> 20} MiB, the limit is {MAX_ARCHIVE_BYTES >> 20} MiB; the file is "
+            "damaged or hostile"
+        )
+    return [(info.filename.removesuffix(".npy"), _header(path, archive, info), info) for info in infos]
+
+
+def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArrayHeader:
+    try:
+        with archive.open(info) as stream:
+            version = npy.read_magic(stream)
+            reader = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
+            if reader is None:
+                raise ValueError(f"npy version {version}")
+            shape, _, dtype = reader(stream, max_header_size=10_000)
+    except (
+        ValueError,
+        EOFError,
+        OSError,
+        SyntaxError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+        RuntimeError,
+    ) as error:
+        raise InputError(f"{path}: entry {info.filename!r} is not an array ({error}); make the file again") from error
+    if dtype.hasobject:
+        raise InputError(
+            f"{path}: array {info.filename!r} holds Python objects, which could run code; only plain numbers and "
+            "text are read"
+        )
+    if any(size < 0 for size in shape) or prod(shape) * dtype.itemsize > info.file_size:
+        raise InputError(
+            f"{path}: array {info.filename!r} claims shape {shape} but holds {info.file_size} bytes; the file is "
+            "damaged"
+        )
+    return ArrayHeader(tuple(shape), dtype)
+
+
+def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays atomically: the file appears complete or not at all. The same arrays give the same bytes."""
+    for name, array in arrays.items():
+        if np.asarray(array).dtype.hasobject:
+            raise ValueError(f"expected plain numbers or text for {name!r}, got dtype object")
+    write_atomically(path, lambda stream: _write_members(stream, arrays))
+
+
+def _write_members(stream: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                npy.write_array(member, np.asanyarray(array), allow_pickle=False)
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], object], durable: bool = True) -> None:
+    """Call `write` with a temporary file beside `path` and rename it; on any failure the old file stays.
+
+    Args:
+        path: The file to appear.
+        write: Receives the open temporary file.
+        durable: Wait until the disk has the bytes, so that even a power cut leaves the old file or the new one.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix + ".part", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            write(stream)
+            stream.flush()
+            if durable:
+                os.fsync(stream.fileno())
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    """The process's file mode mask (the system offers no way to read it without setting it)."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,246 @@
+"""A capture: the folder that holds everything training and evaluation read (docs/capture-format.md).
+
+Reading is lazy; torch is not needed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ggavatar.arrays import write_npz
+from ggavatar.capture_checks import (
+    check_head,
+    check_pictures,
+    check_tracking,
+    read_description,
+    read_tracking,
+    write_description,
+)
+from ggavatar.errors import InputError
+from ggavatar.pictures import read_grey, read_rgb, write_png
+from ggavatar.splits import Split
+
+DESCRIPTION, TRACKING, HEAD, IMAGES, MASKS = "capture.json", "tracking.npz", "head.npz", "images", "masks"
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Cameras and head parameters of T frames, one row a frame.
+
+    Attributes:
+        intrinsics: px of the capture's images.
+        world_to_camera: Rigid, metres, OpenCV axes.
+        expression: Coefficients of the head's expression basis.
+        joint_rotations: Axis-angle in the order of the head's joints, rad.
+        eyelids: Closing of the left and right lid, 0 open.
+        translation: Of the posed head, m.
+        shape: Identity coefficients, for exports only; identity is folded into the head.
+        landmarks: px; NaN where nothing was detected.
+    """
+
+    intrinsics: Float[np.ndarray, "T 3 3"]
+    world_to_camera: Float[np.ndarray, "T 4 4"]
+    expression: Float[np.ndarray, "T E"]
+    joint_rotations: Float[np.ndarray, "T J 3"]
+    eyelids: Float[np.ndarray, "T 2"]
+    translation: Float[np.ndarray, "T 3"]
+    shape: Float[np.ndarray, " S"] | None = None
+    landmarks: Float[np.ndarray, "T L 2"] | None = None
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays by their names in tracking.npz."""
+        named = ((item.name, getattr(self, item.name)) for item in dataclasses.fields(self))
+        return {name: value for name, value in named if value is not None}
+
+    def rows(self, chosen: np.ndarray | slice) -> Tracking:
+        """The tracking of some of the frames."""
+        return Tracking(**{name: value if name == "shape" else value[chosen] for name, value in self.arrays().items()})
+
+
+@dataclass(frozen=True)
+class Capture:
+    """An opened and checked capture folder.
+
+    Attributes:
+        folder: Where it lies.
+        subject: Name in tables.
+        width: Of every image and mask, px.
+        height: Of every image and mask, px.
+        fps: Frames per second.
+        frames: Source frame numbers, ascending; row k of the tracking belongs to `frames[k]`.
+        splits: Training and test frames by the name of the rule.
+        tracking: Cameras and head parameters.
+        head_version: Tag of the head's parameter space.
+        source: Where the capture came from; free-form, for provenance.
+        dropped: Frames of the video that are not in the capture, with reasons.
+    """
+
+    folder: Path
+    subject: str
+    width: int
+    height: int
+    fps: float
+    frames: tuple[int, ...]
+    splits: Mapping[str, Split]
+    tracking: Tracking
+    head_version: str
+    source: Mapping[str, Any] = field(default_factory=dict)
+    dropped: tuple[Mapping[str, Any], ...] = ()
+
+    @staticmethod
+    def open(folder: Path | str) -> Capture:
+        """Open a capture and check all of it but the pixels.
+
+        Raises:
+            InputError: Something is missing, damaged, of another version or does not fit together; the message names
+                the file.
+        """
+        folder = Path(folder)
+        described = read_description(folder / DESCRIPTION)
+        tracking = Tracking(**read_tracking(folder / TRACKING))
+        check_tracking(folder / TRACKING, tracking.arrays(), len(described["frames"]))
+        check_head(
+            folder / HEAD, described["head"]["version"], tracking.expression.shape[1], tracking.joint_rotations.shape[1]
+        )
+        capture = Capture(
+            folder=folder,
+            subject=described["subject"],
+            width=described["width"],
+            height=described["height"],
+            fps=float(described["fps"]),
+            frames=tuple(described["frames"]),
+            splits={
+                name: Split(tuple(lists["train"]), tuple(lists["test"])) for name, lists in described["splits"].items()
+            },
+            tracking=tracking,
+            head_version=described["head"]["version"],
+            source=described.get("source", {}),
+            dropped=tuple(described.get("dropped", ())),
+        )
+        for subfolder in (IMAGES, MASKS):
+            check_pictures(
+                [capture.picture_path(subfolder, number) for number in capture.frames], capture.width, capture.height
+            )
+        return capture
+
+    @property
+    def head_path(self) -> Path:
+        """The file of the head model (`ggavatar.head.files.load_head`)."""
+        return self.folder / HEAD
+
+    def picture_path(self, subfolder: str, number: int) -> Path:
+        """The file of one frame in `images` or `masks`."""
+        return self.folder / subfolder / f"{number:06d}.png"
+
+    def image(self, number: int) -> UInt8[np.ndarray, "H W 3"]:
+        """The image of a source frame, 8-bit sRGB, read from disk now."""
+        self.row(number)
+        return read_rgb(self.picture_path(IMAGES, number))
+
+    def mask(self, number: int) -> UInt8[np.ndarray, "H W"]:
+        """The soft foreground mask of a source frame, 255 = person, read from disk now."""
+        self.row(number)
+        return read_grey(self.picture_path(MASKS, number))
+
+    def row(self, number: int) -> int:
+        """The row of the tracking that belongs to a source frame number."""
+        row = int(np.searchsorted(self.frames, number))
+        if row == len(self.frames) or self.frames[row] != number:
+            raise InputError(
+                f"{self.folder}: no frame {number}; the capture has {len(self.frames)} from {self.frames[0]} to "
+                f"{self.frames[-1]}"
+            )
+        return row
+
+    def split(self, name: str) -> Split:
+        """A split by name; `InputError` naming those there are."""
+        if name not in self.splits:
+            known = ", ".join(sorted(self.splits))
+            raise InputError(
+                f"{self.folder / DESCRIPTION}: no split {name!r}; there are {known}. ggavatar-prep --split adds others"
+            )
+        return self.splits[name]
+
+    def digest(self) -> str:
+        """SHA-256 over the contents of every file that decides a training run; reads all images."""
+        total = hashlib.sha256()
+        for path in self._files():
+            with path.open("rb") as stream:
+                total.update(hashlib.file_digest(stream, "sha256").digest())
+        return total.hexdigest()
+
+    def _files(self) -> Iterator[Path]:
+        yield from (self.folder / DESCRIPTION, self.folder / TRACKING, self.folder / HEAD)
+        for number in self.frames:
+            yield self.picture_path(IMAGES, number)
+            yield self.picture_path(MASKS, number)
+
+    def describe(self) -> None:
+        """Write tracking.npz and then, as the last file that makes the folder a capture, capture.json.
+
+        Both atomically.
+        """
+        write_npz(self.folder / TRACKING, self.tracking.arrays())
+        splits = {name: {"train": list(split.train), "test": list(split.test)} for name, split in self.splits.items()}
+        write_description(
+            self.folder / DESCRIPTION,
+            {
+                "subject": self.subject,
+                "width": self.width,
+                "height": self.height,
+                "fps": self.fps,
+                "frames": list(self.frames),
+                "splits": splits,
+                "head": {"version": self.head_version},
+                "source": dict(self.source),
+                "dropped": [dict(item) for item in self.dropped],
+            },
+        )
+
+    def write(self, pictures: Iterable[tuple[np.ndarray, np.ndarray]], head: Mapping[str, np.ndarray]) -> None:
+        """Write the whole capture into `folder`, which must not exist yet; it appears complete or not at all.
+
+        Args:
+            pictures: Image [H, W, 3] and mask [H, W], 8-bit, of every frame in order.
+            head: Arrays of head.npz.
+        """
+        if self.folder.exists():
+            raise InputError(f"{self.folder}: exists already; choose another folder")
+        self.folder.parent.mkdir(parents=True, exist_ok=True)
+        with _appearing(self.folder) as unfinished:
+            copy = dataclasses.replace(self, folder=unfinished)
+            for number, (image, mask) in zip(self.frames, pictures, strict=True):
+                write_png(copy.picture_path(IMAGES, number), image)
+                write_png(copy.picture_path(MASKS, number), mask)
+            write_npz(copy.folder / HEAD, head)
+            copy.describe()
+
+
+class _appearing:
+    """A temporary folder that takes its final name on success and vanishes on failure."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __enter__(self) -> Path:
+        import tempfile
+
+        self._unfinished = Path(tempfile.mkdtemp(prefix=f".{self._folder.name}.", dir=self._folder.parent))
+        return self._unfinished
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        import shutil
+
+        if kind is None:
+            self._unfinished.chmod(0o755)
+            self._unfinished.rename(self._folder)
+        else:
+            shutil.rmtree(self._unfinished, ignore_errors=True)

@@ -1,0 +1,25 @@
+"""What every source of tracking hands to the rest of the pipeline, be it an importer or the built-in tracker."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ggavatar.capture import Tracking
+from ggavatar.head.model import HeadModel
+
+
+@dataclass(frozen=True)
+class TrackedSequence:
+    """Tracking of the capture's frames, and the head it belongs to.
+
+    Attributes:
+        tracking: One row for each frame of the capture, intrinsics in px of the capture's images.
+        head: Head model with the identity folded in; as many expressions and joints as the tracking.
+        report: What the tracker wants to be known: name, version, residuals, warnings. Plain JSON values.
+    """
+
+    tracking: Tracking
+    head: HeadModel
+    report: Mapping[str, Any] = field(default_factory=dict)
