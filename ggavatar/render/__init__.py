@@ -1,0 +1,1 @@
+"""Differentiable rasterisers of 3D Gaussians: one call, three backends; `ggavatar.render.pick` chooses."""
