@@ -1,0 +1,119 @@
+"""Every metric the tables know: its name, its exact definition (part of a protocol's digest) and how it is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What a table and a protocol must know about a number.
+
+    Attributes:
+        name: Key in files; a region is appended with `@`, as in `psnr@face`.
+        title: Column heading.
+        higher_is_better: Which end is shaded.
+        digits: Decimals in tables; ranks are taken after rounding to them.
+        unit: Of the value, or "1" for a ratio.
+        definition: The exact definition; changing it changes the digest of every protocol that uses the metric.
+        tolerance: How far `--compare` lets the mean fall when the user names no tolerance.
+    """
+
+    name: str
+    title: str
+    higher_is_better: bool
+    digits: int
+    unit: str
+    definition: str
+    tolerance: float
+
+    @property
+    def arrow(self) -> str:
+        """The direction that is better."""
+        return "↑" if self.higher_is_better else "↓"
+
+
+_WINDOW = "11x11 Gaussian window of sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1"
+_LUMA = "on 0.299 R + 0.587 G + 0.114 B"
+_SIGNED, _UNIT = "[-1, 1]", "[0, 1] without the shift the weights were made for, as in 3DGS code"
+
+
+def _ssim(name: str, title: str, words: str) -> Metric:
+    return Metric(name, title, True, 3, "1", words, 0.002)
+
+
+def _lpips(name: str, title: str, network: str, value_range: str) -> Metric:
+    words = f"LPIPS v0.1 on torchvision's {network} features, spatial mean, summed over layers; RGB in {value_range}"
+    return Metric(name, title, False, 3, "1", words, 0.003)
+
+
+def _error(name: str, title: str, words: str) -> Metric:
+    return Metric(name, title, False, 4, "1", words, 0.002)
+
+
+_METRICS = (
+    Metric(
+        "psnr",
+        "PSNR",
+        True,
+        2,
+        "dB",
+        "10 log10(1 / MSE) of each image over all pixels and channels; identical images are counted apart",
+        0.1,
+    ),
+    Metric("psnr_pooled", "PSNR (pooled)", True, 2, "dB", "10 log10(1 / mean over the images of their MSE)", 0.1),
+    _error("l1", "L1", "mean absolute difference over all pixels and channels, range 1"),
+    _ssim("ssim", "SSIM", f"Wang et al. 2004: {_WINDOW}, valid region only, mean over R, G and B"),
+    _ssim("ssim_luma", "SSIM (luma)", f"Wang et al. 2004: {_WINDOW}, valid region only, {_LUMA}"),
+    _ssim("ssim_3dgs", "SSIM (3DGS)", f"{_WINDOW}, images padded with 5 px of zeros, mean over R, G and B"),
+    _ssim("ssim_3dgs_luma", "SSIM (3DGS, luma)", f"{_WINDOW}, images padded with 5 px of zeros, {_LUMA}"),
+    _ssim(
+        "ms_ssim",
+        "MS-SSIM",
+        f"Wang et al. 2003: weights .0448 .2856 .3001 .2363 .1333, {_WINDOW}, valid region, 2x2 means, RGB mean",
+    ),
+    _lpips("lpips_alex", "LPIPS", "AlexNet", _SIGNED),
+    _lpips("lpips_vgg", "LPIPS (VGG)", "VGG16", _SIGNED),
+    _lpips("lpips_squeeze", "LPIPS (Squeeze)", "SqueezeNet 1.1", _SIGNED),
+    _lpips("lpips_alex_unit_range", "LPIPS (Alex, [0,1])", "AlexNet", _UNIT),
+    _lpips("lpips_vgg_unit_range", "LPIPS (VGG, [0,1])", "VGG16", _UNIT),
+    _error(
+        "frame_difference",
+        "Δ frames",
+        "mean of |(render[t] - render[t-1]) - (truth[t] - truth[t-1])| over pixels and channels, range 1, where source "
+        "frames t-1 and t are both scored",
+    ),
+    _error(
+        "flicker",
+        "Flicker",
+        "mean of |render[t] - render[t-1]| over pixels where no channel of the truth changes by more than 2/255 and "
+        "the mask, if there is one, covers half or more in t-1 and t; range 1",
+    ),
+)
+
+METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _METRICS})
+TEMPORAL = ("frame_difference", "flicker")
+REGION_METRICS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ssim_3dgs_luma")
+"""Metrics that have a masked form, `NAME@REGION`."""
+
+REGION_DEFINITION = (
+    "mask-weighted mean: sum of weight x squared (or absolute) error over 3 sum of weights; "
+    "SSIM: its map averaged with the same weights"
+)
+
+
+def metric_of(name: str) -> Metric:
+    """The metric behind a column name, whose region after `@` is ignored.
+
+    Raises:
+        KeyError: Unknown metric.
+    """
+    return METRICS[name.partition("@")[0]]
+
+
+def title_of(name: str) -> str:
+    """Column heading of a name with or without a region."""
+    base, _, region = name.partition("@")
+    return METRICS[base].title + (f" {region}" if region else "")

@@ -1,0 +1,149 @@
+"""From frames scored one by one, in order, to one evaluation: temporal metrics, folder hashes, what is missing, why."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from evaluate.catalogue import TEMPORAL
+from evaluate.protocol import Protocol
+from evaluate.results import Evaluation, Value
+from evaluate.temporal import flicker, frame_difference_error
+
+Image = UInt8[np.ndarray, "H W 3"]
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One frame: its numbers, and what its neighbour and the hashes need of it.
+
+    Attributes:
+        frame: Source frame number.
+        values: Per-image metrics.
+        images: Render and truth.
+        foreground: Non-zero where the person is; None without masks.
+        hashes: SHA-256 of the files by kind.
+        notes: Departures of the files from 8-bit RGB.
+    """
+
+    frame: int
+    values: Mapping[str, Value]
+    images: tuple[Image, Image]
+    foreground: UInt8[np.ndarray, "H W"] | None
+    hashes: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What a table calls the scored pictures, and what is known of their making.
+
+    Attributes:
+        subject: Row of the table.
+        method: Column of the table.
+        seed: Of the training run.
+        efficiency: What rendering and training cost.
+        provenance: Run, checkpoint, step.
+        notes: Sentences for the reader.
+    """
+
+    subject: str
+    method: str
+    seed: int | None = None
+    efficiency: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+class Gathering:
+    """Takes frames in ascending order and keeps numbers, not pictures, of all but the last."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
+        self._temporal = tuple(name for name in protocol.metrics if name in TEMPORAL)
+        self._frames: list[int] = []
+        self._rows: list[dict[str, Value]] = []
+        self._files: dict[str, list[str]] = {}
+        self._notes: dict[str, int] = {}
+        self._last: Scored | None = None
+
+    def add(self, scored: Scored) -> None:
+        """Take the next frame."""
+        self._frames.append(scored.frame)
+        self._rows.append({**scored.values, **self._moving(scored)})
+        for kind, sha256 in scored.hashes.items():
+            self._files.setdefault(kind, []).append(f"{scored.frame} {sha256}\n")
+        for note in scored.notes:
+            self._notes[note] = self._notes.get(note, 0) + 1
+        self._last = scored
+
+    def _moving(self, now: Scored) -> dict[str, Value]:
+        """Temporal metrics of this frame, if the one before it was scored too."""
+        before = self._last
+        if not self._temporal or before is None or now.frame != before.frame + 1:
+            return dict.fromkeys(self._temporal)
+        mask = None
+        if now.foreground is not None and before.foreground is not None:
+            mask = cv2.bitwise_and(now.foreground, before.foreground)
+        found: dict[str, Value] = {}
+        if "frame_difference" in self._temporal:
+            found["frame_difference"] = frame_difference_error(before.images, now.images)
+        if "flicker" in self._temporal:
+            found["flicker"] = flicker(before.images, now.images, mask)
+        return found
+
+    def evaluation(self, labels: Labels, unavailable: Mapping[str, str], weights: Mapping[str, str]) -> Evaluation:
+        """The evaluation of all frames taken.
+
+        Args:
+            labels: Names for the table.
+            unavailable: Metrics that nothing could measure, with the reason.
+            weights: SHA-256 of the files of learned metrics.
+        """
+        names = ("mse", *(name for name in self._protocol.columns if name not in unavailable))
+        values = {name: tuple(row.get(name) for row in self._rows) for name in names}
+        empty = {name: _reason(name) for name, column in values.items() if all(value is None for value in column)}
+        counted = (f"{note}: {count} of {2 * len(self._frames)} files at most" for note, count in self._notes.items())
+        return Evaluation(
+            subject=labels.subject,
+            method=labels.method,
+            protocol=self._protocol,
+            frames=tuple(self._frames),
+            values={name: column for name, column in values.items() if name not in empty},
+            seed=labels.seed,
+            missing={**unavailable, **empty},
+            hashes={kind: hashlib.sha256("".join(lines).encode()).hexdigest() for kind, lines in self._files.items()},
+            weights=weights,
+            efficiency=labels.efficiency,
+            provenance={**labels.provenance, "versions": versions()},
+            notes=(*labels.notes, *counted),
+        )
+
+
+def _reason(name: str) -> str:
+    """Why a metric has no value in any frame."""
+    base, _, region = name.partition("@")
+    if region:
+        return f"no mask shows the region {region}"
+    if base in TEMPORAL:
+        return "no two scored frames are consecutive, or nothing stands still"
+    return "the images are too small"
+
+
+def versions() -> dict[str, str]:
+    """Versions of the packages that decide the numbers."""
+    return {name: _version(name) for name in ("ggavatar", "numpy", "opencv-contrib-python-headless")}
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,92 @@
+"""All pixel metrics of one frame in one go, sharing what they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from evaluate import metrics, ssim
+
+Weights = Float[np.ndarray, "H W"]
+Image = UInt8[np.ndarray, "H W 3"]
+Value = float | None
+
+SSIM_NAMES = ("ssim", "ssim_luma", "ssim_3dgs", "ssim_3dgs_luma")
+
+
+def measure_pixels(
+    prediction: Image, truth: Image, columns: Sequence[str], regions: Mapping[str, Weights]
+) -> dict[str, Value]:
+    """Per-image metrics of a pair.
+
+    Args:
+        prediction: The render.
+        truth: The ground truth.
+        columns: Names to measure, with `@region` for masked ones; names that are no pixel metric are left out.
+        regions: Weights in [0, 1] by region.
+
+    Returns:
+        Values by column. PSNR of identical images is infinite; None stands for an empty mask, for a region without
+        mask, or for an image too small for the metric.
+    """
+    maps = _maps(prediction, truth, columns)
+    values: dict[str, Value] = {}
+    for column in columns:
+        name, _, region = column.partition("@")
+        if region:
+            values[column] = _masked(prediction, truth, name, maps, regions.get(region))
+        elif name in SSIM_NAMES:
+            values[column] = float(maps[name].mean(dtype=np.float64)) if name in maps else None
+        elif name in _WHOLE:
+            values[column] = _WHOLE[name](prediction, truth)
+    return values
+
+
+def _ms_ssim(prediction: Image, truth: Image) -> Value:
+    large = min(prediction.shape[:2]) > ssim.MS_SHORTEST
+    return ssim.ms_ssim(prediction, truth) if large else None
+
+
+_WHOLE: Mapping[str, Callable[[Image, Image], Value]] = {
+    "psnr": metrics.psnr,
+    "mse": metrics.mean_squared_error,
+    "l1": metrics.mean_absolute_error,
+    "ms_ssim": _ms_ssim,
+}
+
+_MASKED: Mapping[str, Callable[[Image, Image, Weights], Value]] = {
+    "psnr": metrics.masked_psnr,
+    "mse": metrics.masked_mean_squared_error,
+    "l1": metrics.masked_mean_absolute_error,
+}
+
+
+def _maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, np.ndarray]:
+    """The SSIM maps that the columns need; valid ones are cut from the padded ones, so each pair is filtered once."""
+    names = {column.partition("@")[0] for column in columns} & set(SSIM_NAMES)
+    if min(prediction.shape[:2]) < ssim.WINDOW:
+        names -= {"ssim", "ssim_luma"}
+    found: dict[str, np.ndarray] = {}
+    for color, suffix in ((True, ""), (False, "_luma")):
+        if wanted := names & {f"ssim{suffix}", f"ssim_3dgs{suffix}"}:
+            pair = (prediction, truth) if color else (ssim.luma(prediction), ssim.luma(truth))
+            whole = ssim.ssim_map(*pair)
+            found[f"ssim_3dgs{suffix}"] = whole
+            if f"ssim{suffix}" in wanted:
+                found[f"ssim{suffix}"] = ssim.valid(whole)
+    return found
+
+
+def _masked(
+    prediction: Image, truth: Image, name: str, maps: Mapping[str, np.ndarray], weights: Weights | None
+) -> Value:
+    if weights is None:
+        return None
+    if name in SSIM_NAMES:
+        inner = name in ("ssim", "ssim_luma")
+        radius = ssim.RADIUS
+        cut = weights[radius:-radius, radius:-radius] if inner else weights
+        return ssim.masked_mean(maps[name], cut) if name in maps else None
+    return _MASKED[name](prediction, truth, weights)

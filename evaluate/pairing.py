@@ -1,0 +1,100 @@
+"""Which render belongs to which ground truth: by frame number, and never by guessing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from evaluate.frame_files import frame_files
+from ggavatar.errors import InputError
+from ggavatar.pictures import picture_header
+
+MASKS = "masks"
+
+
+@dataclass(frozen=True)
+class FramePair:
+    """The files of one frame.
+
+    Attributes:
+        frame: Source frame number.
+        prediction: The render.
+        truth: The ground truth.
+        masks: Grey pictures by region name; the person's mask is `foreground`.
+    """
+
+    frame: int
+    prediction: Path
+    truth: Path
+    masks: Mapping[str, Path] = field(default_factory=dict)
+
+
+def pair_folders(
+    predictions: Path, truth: Path, masks: Path | None = None, regions: Path | None = None, frames: Sequence[int] = ()
+) -> list[FramePair]:
+    """Match the pictures of folders by the frame number in their names.
+
+    Args:
+        predictions: Folder of renders.
+        truth: Folder of ground truths.
+        masks: Folder of person masks, or None.
+        regions: Folder with one subfolder of masks per region, or None.
+        frames: If given, exactly these frames are paired, and the folders may hold more.
+
+    Returns:
+        Pairs in ascending order of frame number.
+
+    Raises:
+        InputError: A frame is missing on either side, or the sizes of a pair differ.
+    """
+    rendered, truths = frame_files(predictions), frame_files(truth)
+    wanted = sorted(set(frames)) or sorted(truths)
+    if not frames:
+        _require(set(rendered) - set(truths), rendered, truth, "no ground truth", "delete the renders that are extra")
+    _require(set(wanted) - set(rendered), truths, predictions, "no render", "render the missing frames")
+    _require(set(wanted) - set(truths), rendered, truth, "no ground truth", "name frames that exist")
+    folders = _mask_folders(masks, regions)
+    found = {name: _masks_of(folder, wanted) for name, folder in folders.items()}
+    pairs = [
+        FramePair(n, rendered[n], truths[n], {name: files[n] for name, files in found.items() if n in files})
+        for n in wanted
+    ]
+    for pair in pairs:
+        require_equal_sizes(pair)
+    return pairs
+
+
+def require_equal_sizes(pair: FramePair) -> None:
+    """Compare the sizes in the headers of a pair's files; `InputError` if they differ."""
+    size = picture_header(pair.prediction)[:2]
+    for path in (pair.truth, *pair.masks.values()):
+        other = picture_header(path)[:2]
+        if other != size:
+            raise InputError(
+                f"frame {pair.frame}: {pair.prediction} is {size[0]}x{size[1]} px and {path} is {other[0]}x{other[1]} "
+                "px; render at the size of the ground truth (nothing is resized silently)"
+            )
+
+
+def _require(strangers: set[int], known: Mapping[int, Path], folder: Path, what: str, advice: str) -> None:
+    if strangers:
+        listed = ", ".join(map(str, sorted(strangers)[:8])) + (", …" if len(strangers) > 8 else "")
+        example = f" (for example {known[min(strangers)].name})" if min(strangers) in known else ""
+        raise InputError(f"{folder}: {what} for {len(strangers)} frames: {listed}{example}; {advice}")
+
+
+def _mask_folders(masks: Path | None, regions: Path | None) -> dict[str, Path]:
+    """Folders of masks by region name."""
+    folders = {"foreground": masks} if masks else {}
+    if regions is None:
+        return folders
+    if not regions.is_dir() or not (found := sorted(path for path in regions.iterdir() if path.is_dir())):
+        raise InputError(f"{regions}: expected one folder of masks per region, such as face/000123.png, found none")
+    return folders | {path.name: path for path in found}
+
+
+def _masks_of(folder: Path, wanted: Sequence[int]) -> dict[int, Path]:
+    files = frame_files(folder)
+    _require(set(wanted) - set(files), {}, folder, "no mask", "make the missing masks (an empty one is allowed)")
+    return files

@@ -1,0 +1,199 @@
+"""LPIPS (Zhang et al. 2018, v0.1) in plain torch, with weights the user provides."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor, nn
+from torch.nn.functional import conv2d
+
+from evaluate.weights import LpipsFiles, find_lpips, sha256_of
+from ggavatar.errors import InputError
+
+SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+"""Published constants that bring RGB in [-1, 1] to the statistics of ImageNet."""
+
+MAX_WEIGHT_BYTES = 1 << 30
+UNIT_RANGE = "_unit_range"
+
+
+class Fire(nn.Module):
+    """SqueezeNet's block: 1×1 squeeze, then 1×1 and 3×3 expansions side by side (Iandola et al. 2016, Sec. 3.2)."""
+
+    def __init__(self, channels: int, squeezed: int, expanded: int) -> None:
+        super().__init__()
+        self.squeeze = nn.Conv2d(channels, squeezed, 1)
+        self.expand1x1 = nn.Conv2d(squeezed, expanded, 1)
+        self.expand3x3 = nn.Conv2d(squeezed, expanded, 3, padding=1)
+
+    def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D H W"]:
+        """Both expansions, concatenated."""
+        squeezed = self.squeeze(x).relu()
+        return torch.cat((self.expand1x1(squeezed).relu(), self.expand3x3(squeezed).relu()), dim=1)
+
+
+def _alexnet() -> tuple[nn.Sequential, tuple[int, ...]]:
+    layers: list[nn.Module] = [nn.Conv2d(3, 64, 11, 4, 2), nn.ReLU(), nn.MaxPool2d(3, 2)]
+    layers += [nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)]
+    for before, after in ((192, 384), (384, 256), (256, 256)):
+        layers += [nn.Conv2d(before, after, 3, padding=1), nn.ReLU()]
+    return nn.Sequential(*layers), (1, 4, 7, 9, 11)
+
+
+def _vgg16() -> tuple[nn.Sequential, tuple[int, ...]]:
+    layers: list[nn.Module] = []
+    taps = []
+    channels = 3
+    for width, repeats in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+        layers += [nn.MaxPool2d(2, 2)] if layers else []
+        for _ in range(repeats):
+            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU()]
+            channels = width
+        taps.append(len(layers) - 1)
+    return nn.Sequential(*layers), tuple(taps)
+
+
+def _squeezenet() -> tuple[nn.Sequential, tuple[int, ...]]:
+    def pool() -> nn.Module:
+        return nn.MaxPool2d(3, 2, ceil_mode=True)
+
+    layers: list[nn.Module] = [nn.Conv2d(3, 64, 3, 2), nn.ReLU(), pool(), Fire(64, 16, 64), Fire(128, 16, 64), pool()]
+    layers += [Fire(128, 32, 128), Fire(256, 32, 128), pool()]
+    layers += [Fire(256, 48, 192), Fire(384, 48, 192), Fire(384, 64, 256), Fire(512, 64, 256)]
+    return nn.Sequential(*layers), (1, 4, 7, 9, 10, 11, 12)
+
+
+NETWORKS = {"alex": _alexnet, "vgg": _vgg16, "squeeze": _squeezenet}
+
+
+class Lpips(nn.Module):
+    """Distance of deep features: Σ over layers of the spatial mean of w · (unit features − unit features)².
+
+    Args:
+        net: `alex`, `vgg` or `squeeze`.
+    """
+
+    shift: Tensor
+    scale: Tensor
+
+    def __init__(self, net: str) -> None:
+        super().__init__()
+        self.features, self.taps = NETWORKS[net]()
+        for layer in self.features:
+            if isinstance(layer, nn.ReLU):
+                layer.inplace = False
+        self.heads: list[Tensor] = []
+        self.register_buffer("shift", torch.tensor(SHIFT)[:, None, None])
+        self.register_buffer("scale", torch.tensor(SCALE)[:, None, None])
+
+    def forward(self, first: Float[Tensor, "B 3 H W"], second: Float[Tensor, "B 3 H W"]) -> Float[Tensor, " B"]:
+        """LPIPS of image pairs.
+
+        Args:
+            first: RGB in [-1, 1]. Feeding [0, 1] instead is what the 3DGS lineage reports; name it so.
+            second: Likewise.
+        """
+        x = (torch.cat((first, second)) - self.shift) / self.scale
+        total = x.new_zeros(len(first))
+        heads = iter(self.heads)
+        for index, layer in enumerate(self.features):
+            x = layer(x)
+            if index in self.taps:
+                one, other = (x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10)).chunk(2)
+                total = total + conv2d((one - other).square(), next(heads)).mean(dim=(1, 2, 3))
+        return total
+
+
+def load_lpips(net: str, files: LpipsFiles) -> Lpips:
+    """LPIPS with weights from files; nothing in them can run code.
+
+    Raises:
+        InputError: A file is damaged, or lacks layers the network needs.
+    """
+    model = Lpips(net)
+    backbone = _load(files.backbone)
+    features = {key.removeprefix("features."): value for key, value in backbone.items() if key.startswith("features.")}
+    wanted = model.features.state_dict()
+    lacking = [key for key, value in wanted.items() if key not in features or features[key].shape != value.shape]
+    if lacking:
+        raise InputError(
+            f"{files.backbone}: expected the layers of {net}, found none or another shape for features.{lacking[0]}; "
+            "use torchvision's file"
+        )
+    model.features.load_state_dict({key: features[key] for key in wanted})
+    heads = _load(files.head)
+    names = [f"lin{k}.model.1.weight" for k in range(len(model.taps))]
+    if missing := [name for name in names if name not in heads]:
+        raise InputError(f"{files.head}: expected {missing[0]}, found {sorted(heads)[:3]}; use the heads of LPIPS v0.1")
+    model.heads = [heads[name].float() for name in names]
+    return model.eval().requires_grad_(False)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    """Tensors by name."""
+    if path.stat().st_size > MAX_WEIGHT_BYTES:
+        raise InputError(f"{path}: a weight file is not larger than {MAX_WEIGHT_BYTES >> 30} GiB")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise InputError(
+            f"{path}: cannot be read as plain tensors ({type(error).__name__}); get the file again"
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected tensors by name, found {type(content).__name__}; use torchvision's file")
+    return content
+
+
+def to_signed(image: UInt8[np.ndarray, "H W 3"]) -> Float[Tensor, "1 3 H W"]:
+    """8-bit RGB as floats in [-1, 1]."""
+    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 127.5 - 1
+
+
+class PerceptualMetrics:
+    """The learned metrics of a protocol, loaded once and used for every pair from any thread.
+
+    Attributes:
+        missing: Metrics that cannot be measured, with the reason.
+        hashes: SHA-256 of the weight files by name.
+    """
+
+    def __init__(self, names: Sequence[str], folders: Sequence[Path]) -> None:
+        self.missing: dict[str, str] = {}
+        self.hashes: dict[str, str] = {}
+        self._models: dict[str, Lpips] = {}
+        self._names = []
+        for name in names:
+            net = network_of(name)
+            files = find_lpips(net, folders)
+            if isinstance(files, str):
+                self.missing[name] = files
+                continue
+            self._names.append(name)
+            if net not in self._models:
+                self._models[net] = load_lpips(net, files)
+                self.hashes |= {f"{net}/{path.name}": sha256_of(path) for path in (files.backbone, files.head)}
+        self._lock = threading.Lock()
+
+    @torch.inference_mode()
+    def measure(self, prediction: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "H W 3"]) -> Mapping[str, float]:
+        """Values by metric name of one pair."""
+        signed = to_signed(prediction), to_signed(truth)
+        # torch's own threads share one pair; several pairs at once would only fight for the same processors.
+        with self._lock:
+            return {name: self._distance(name, *signed) for name in self._names}
+
+    def _distance(self, name: str, first: Tensor, second: Tensor) -> float:
+        if name.endswith(UNIT_RANGE):
+            first, second = (first + 1) / 2, (second + 1) / 2
+        return float(self._models[network_of(name)](first, second))
+
+
+def network_of(name: str) -> str:
+    """`alex`, `vgg` or `squeeze` of a metric's name."""
+    return name.removeprefix("lpips_").removesuffix(UNIT_RANGE)

@@ -1,0 +1,228 @@
+"""What exactly is measured: frozen, versioned and digested protocols. Two numbers compare only under one digest."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from evaluate.catalogue import METRICS, REGION_DEFINITION, REGION_METRICS
+from ggavatar.errors import InputError
+
+GIVEN = "given"
+"""Value of a field that the caller's pictures settle and that we cannot check."""
+
+DEFINITION_VERSION = 1
+"""Version of the scoring arithmetic as a whole; raised when a fix changes numbers under unchanged fields."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Everything that decides a number, apart from the pictures.
+
+    Attributes:
+        name: Base name; the id adds the version and every overridden field.
+        version: Of the named protocol.
+        split: Name of the capture's split whose test frames are scored, or `given`.
+        background: `white`, `black`, `R,G,B` in 0–255, or `given`; truth and render are composited on it.
+        mask: `as-stored` (the capture's soft or binary masks), `binary` (thresholded at one half) or `given`.
+        region: `full`, or the region outside which both images are painted with the background before anything is
+            measured; PSNR and L1 then count the region's pixels only (IMavatar's convention).
+        resolution: `WIDTHxHEIGHT` in px at which images are compared, `native` (the capture's) or `given`.
+        resize: Filter that brings the ground truth to `resolution`: `area` (OpenCV INTER_AREA).
+        quantisation: `uint8-round`: both images are 8-bit, clamped and rounded to the nearest level.
+        psnr_aggregation: `mean-of-images`; the pooled PSNR is always stored beside it.
+        metrics: What is measured, names of `evaluate.catalogue.METRICS`.
+        table_metrics: Subset that the main table shows.
+        regions: Named regions measured in addition, as `psnr@face`.
+        test_time_optimisation: `none`: nothing is fitted to test frames.
+        overrides: Names of the fields that differ from the named protocol, sorted.
+    """
+
+    name: str
+    version: int = 1
+    split: str = GIVEN
+    background: str = GIVEN
+    mask: str = GIVEN
+    region: str = "full"
+    resolution: str = GIVEN
+    resize: str = "area"
+    quantisation: str = "uint8-round"
+    psnr_aggregation: str = "mean-of-images"
+    metrics: tuple[str, ...] = ("psnr", "ssim", "ssim_3dgs", "lpips_alex")
+    table_metrics: tuple[str, ...] = ("psnr", "ssim", "lpips_alex")
+    regions: tuple[str, ...] = ()
+    test_time_optimisation: str = "none"
+    overrides: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in (*self.metrics, *self.table_metrics):
+            if name not in METRICS:
+                raise InputError(f"unknown metric {name!r}{_nearest(name, METRICS)}; known are {', '.join(METRICS)}")
+        if missing := set(self.table_metrics) - set(self.metrics):
+            raise InputError(
+                f"the table asks for {', '.join(sorted(missing))}, which is not measured; add it to the metrics"
+            )
+        _ = self.background_rgb, self.size
+
+    @property
+    def id(self) -> str:
+        """Name, version and overridden fields; usable as a folder name."""
+        changes = ",".join(f"{field}={_text(getattr(self, field))}" for field in self.overrides)
+        return f"{self.name}-v{self.version}" + (f"+{changes}" if changes else "")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of `canonical_json`."""
+        return hashlib.sha256(self.canonical_json().encode()).hexdigest()
+
+    def canonical_json(self) -> str:
+        """All fields and the full definitions of the metrics as JSON: keys sorted, no spaces, ASCII."""
+        return json.dumps(
+            {**self.as_dict(), **self.definitions()}, sort_keys=True, separators=(",", ":"), ensure_ascii=True
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields as plain JSON values."""
+        return {field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)}
+
+    def definitions(self) -> dict[str, Any]:
+        """What the names stand for: the arithmetic that the digest covers."""
+        words = {name: METRICS[name].definition for name in self.metrics}
+        return {
+            "definition_version": DEFINITION_VERSION,
+            "metric_definitions": words,
+            "region_definition": REGION_DEFINITION,
+        }
+
+    @property
+    def background_rgb(self) -> tuple[float, float, float] | None:
+        """Background colour, sRGB in [0, 1]; None if the pictures settle it."""
+        named = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), GIVEN: None}
+        if self.background in named:
+            return named[self.background]
+        parts = self.background.split(",")
+        if len(parts) != 3 or not all(part.strip().isdigit() and int(part) <= 255 for part in parts):
+            raise InputError(f"expected --background white, black or R,G,B in 0-255, got {self.background!r}")
+        red, green, blue = (int(part) / 255 for part in parts)
+        return red, green, blue
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height in px; None if native or given."""
+        if self.resolution in ("native", GIVEN):
+            return None
+        width, _, height = self.resolution.partition("x")
+        if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+            raise InputError(f"expected --resolution WIDTHxHEIGHT or native, got {self.resolution!r}")
+        return int(width), int(height)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all per-image numbers, regions included."""
+        masked = tuple(f"{name}@{region}" for region in self.regions for name in self.metrics if name in REGION_METRICS)
+        return self.metrics + masked
+
+    def override(self, **changes: Any) -> Protocol:
+        """The protocol with fields changed; fields that really differ from the named protocol enter the id.
+
+        Raises:
+            InputError: Unknown field, or a value the field does not allow.
+        """
+        allowed = {field.name for field in dataclasses.fields(self)} - {"name", "version", "overrides"}
+        for field in changes:
+            if field not in allowed:
+                suggestion, known = _nearest(field, allowed), ", ".join(sorted(allowed))
+                raise InputError(f"unknown protocol field {field!r}{suggestion}; fields are {known}")
+        base = PROTOCOLS.get(self.name, self)
+        changed = dataclasses.replace(self, **changes)
+        differing = tuple(sorted(field for field in allowed if getattr(changed, field) != getattr(base, field)))
+        return dataclasses.replace(changed, overrides=differing)
+
+    def given(self) -> Protocol:
+        """The protocol's arithmetic for pictures of unknown making: what cannot be checked is stated as `given`."""
+        return self.override(split=GIVEN, background=GIVEN, mask=GIVEN, resolution=GIVEN)
+
+
+_PIXELS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ms_ssim")
+_TEMPORAL = ("frame_difference", "flicker")
+_ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *_TEMPORAL)
+_HELD_OUT_END = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *_TEMPORAL)
+_LINEAGE = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")
+
+
+def _on_white(name: str, split: str, **fields: Any) -> Protocol:
+    """A protocol on 512² px and a white background, unless `fields` say otherwise."""
+    common = {"background": "white", "mask": "as-stored", "resolution": "512x512"}
+    return Protocol(name, split=split, **{**common, **fields})
+
+
+_NAMED = (
+    _on_white(
+        "paper",
+        "every-20th",
+        metrics=(*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_vgg_unit_range"),
+        table_metrics=("psnr", "ssim_3dgs", "lpips_alex"),
+    ),
+    _on_white("strict", "ratio-0.8", metrics=_ALL),
+    _on_white("insta-350", "last-350", metrics=_HELD_OUT_END),
+    _on_white("flash-500", "last-500", metrics=_HELD_OUT_END, table_metrics=("psnr", "ssim_3dgs", "lpips_vgg")),
+    _on_white(
+        "imavatar-face256",
+        "file",
+        region="face",
+        resolution="256x256",
+        metrics=("psnr", "l1", "ssim", "lpips_alex"),
+    ),
+    _on_white("gaussian-avatars", "file", resolution="550x802", metrics=_LINEAGE, table_metrics=_LINEAGE),
+    Protocol("folders"),
+)
+
+PROTOCOLS: Mapping[str, Protocol] = {protocol.name: protocol for protocol in _NAMED}
+
+
+def named(name: str) -> Protocol:
+    """A protocol by name, with or without its version: `paper`, `paper-v1`.
+
+    Raises:
+        InputError: There is none of that name; the message suggests the nearest.
+    """
+    for key, protocol in PROTOCOLS.items():
+        if name in (key, protocol.id):
+            return protocol
+    raise InputError(f"unknown protocol {name!r}{_nearest(name, PROTOCOLS)}; known are {', '.join(PROTOCOLS)}")
+
+
+def from_dict(fields: Mapping[str, Any]) -> Protocol:
+    """The protocol that a result file describes; the id, digest and definitions beside the fields are ignored.
+
+    Raises:
+        InputError: Fields are missing or hold values that no protocol has.
+    """
+    known = {field.name for field in dataclasses.fields(Protocol)}
+    values: dict[str, Any] = {key: _frozen(value) for key, value in fields.items() if key in known}
+    try:
+        return Protocol(**values)
+    except TypeError as error:
+        raise InputError(f"expected the fields of a protocol, found {sorted(fields)} ({error})") from error
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _frozen(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _text(value: object) -> str:
+    return "-".join(value) if isinstance(value, tuple) else str(value).replace(",", "-")
+
+
+def _nearest(name: str, known: Mapping[str, Any] | set[str]) -> str:
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f" (perhaps {close[0]!r}?)" if close else ""

@@ -1,0 +1,91 @@
+"""Regions of the image: bands and painted outsides from masks, and the parts of a face from a projected head mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+REGION_SETS: Mapping[str, tuple[str, ...]] = {
+    "face": ("face",),
+    "mouth": ("mouth", "lips"),
+    "eyes": ("eyes", "left_eye", "right_eye", "eye_region"),
+    "hair": ("scalp", "hair"),
+}
+"""Region of the image by the vertex sets of a head model that make it up; those a head has are joined."""
+
+BAND_SHARE = 0.02
+
+
+def boundary_band(mask: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """Band around the outline of a mask at one half: 2 % of the shorter side to either side, weights 0 and 1.
+
+    Hair and shoulders are won and lost here. A mask without outline (empty, or the whole picture) has no band.
+    """
+    radius = max(1, round(min(mask.shape) * BAND_SHARE))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    inside = (mask >= 0.5).astype(np.uint8)
+    edge = {"borderType": cv2.BORDER_REPLICATE}
+    return (cv2.dilate(inside, disc, **edge) - cv2.erode(inside, disc, **edge)).astype(np.float32)
+
+
+def painted_outside(
+    image: UInt8[np.ndarray, "H W 3"], inside: Float[np.ndarray, "H W"], color: Sequence[float]
+) -> UInt8[np.ndarray, "H W 3"]:
+    """The image with everything outside a region (weight below one half) in one colour, sRGB in [0, 1]."""
+    painted = image.copy()
+    painted[inside < 0.5] = np.round(np.asarray(color) * 255)
+    return painted
+
+
+def convex_hull(points: Float[np.ndarray, "L 2"], width: int, height: int) -> UInt8[np.ndarray, "H W"]:
+    """Mask of the convex hull of points in px, 255 inside: IMavatar's face interior from 68 landmarks."""
+    mask = np.zeros((height, width), np.uint8)
+    # Pixel centres lie at +0.5; OpenCV draws with centres at whole numbers, here in sixteenths of a pixel.
+    hull = cv2.convexHull(np.round((points - 0.5) * 16).astype(np.int32))
+    cv2.fillConvexPoly(mask, hull, 255, shift=4)
+    return mask
+
+
+def mesh_regions(
+    points: Float[np.ndarray, "V 2"],
+    depth: Float[np.ndarray, " V"],
+    faces: Int[np.ndarray, "F 3"],
+    vertex_sets: Mapping[str, Int[np.ndarray, " R"]],
+    size: tuple[int, int],
+) -> dict[str, UInt8[np.ndarray, "H W"]]:
+    """Visible parts of a head mesh as masks, 255 inside.
+
+    Triangles are painted from back to front with the set they belong to (all three corners in it), so a part hidden
+    behind another one does not show. Sets may overlap: each is painted on its own.
+
+    Args:
+        points: Projected vertices, px.
+        depth: Camera z of the vertices, m; triangles with a corner at or behind the camera are left out.
+        faces: Vertex indices.
+        vertex_sets: Vertices by name of the set.
+        size: Width and height of the masks, px.
+
+    Returns:
+        Masks by region of `REGION_SETS` that the vertex sets can make; others are absent.
+    """
+    order = np.argsort(-depth[faces].mean(axis=1), kind="stable")
+    drawn = faces[order]
+    drawn = drawn[(depth[drawn] > 0).all(axis=1)]
+    corners = np.clip(np.round((points[drawn] - 0.5) * 16), -(2**24), 2**24).astype(np.int32)
+    masks = {}
+    for region, names in REGION_SETS.items():
+        members = [vertex_sets[name] for name in names if name in vertex_sets]
+        if members:
+            inside = np.isin(drawn, np.concatenate(members)).all(axis=1)
+            masks[region] = _painted(corners, np.asarray(inside), size)
+    return masks
+
+
+def _painted(corners: np.ndarray, inside: np.ndarray, size: tuple[int, int]) -> UInt8[np.ndarray, "H W"]:
+    mask = np.zeros((size[1], size[0]), np.uint8)
+    for triangle, belongs in zip(corners, inside.tolist(), strict=True):
+        cv2.fillConvexPoly(mask, triangle, 255 if belongs else 0, shift=4)
+    return mask

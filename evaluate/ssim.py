@@ -1,0 +1,145 @@
+"""Structural similarity of one image pair: the published settings, and the variants reported under the same name.
+
+Each function takes H×W×3 (or H×W×1) arrays, uint8 or floating point in [0, 1], of one size.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+WINDOW, SIGMA = 11, 1.5
+RADIUS = WINDOW // 2
+C1, C2 = 0.01**2, 0.03**2
+MS_SHORTEST = 160
+"""The shorter side of an image must be longer than this for five scales, px."""
+MS_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+"""Exponents of the five scales (Wang, Simoncelli & Bovik 2003, Sec. 3.2)."""
+
+Image = UInt8[np.ndarray, "H W C"] | Float[np.ndarray, "H W C"]
+
+
+def ssim_map(prediction: Image, target: Image) -> Float[np.ndarray, "H W C"]:
+    """SSIM at every pixel and channel, images padded with zeros; `valid` cuts out what padding does not touch.
+
+    Wang et al. 2004, Eq. 13, with an 11×11 Gaussian window of σ 1.5, weighted population covariance, K = (0.01, 0.03)
+    and range 1.
+    """
+    luminance, contrast = _terms(_unit(prediction), _unit(target))
+    return luminance * contrast
+
+
+def valid(values: Float[np.ndarray, "H W C"]) -> Float[np.ndarray, "h w C"]:
+    """The part of a map whose windows lie inside the image: 5 px less on every side.
+
+    Raises:
+        ValueError: The image is smaller than the window.
+    """
+    if min(values.shape[:2]) < WINDOW:
+        raise ValueError(
+            f"expected an image of at least {WINDOW}x{WINDOW} px for SSIM, got {values.shape[1]}x{values.shape[0]}"
+        )
+    return values[RADIUS:-RADIUS, RADIUS:-RADIUS]
+
+
+def ssim(prediction: Image, target: Image) -> float:
+    """Wang et al. 2004: mean of the map over the valid region and the channels.
+
+    Equals skimage with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1`, and the code of
+    PointAvatar and IMavatar.
+    """
+    return _mean(valid(ssim_map(prediction, target)))
+
+
+def ssim_3dgs(prediction: Image, target: Image) -> float:
+    """The 3DGS lineage: mean of the zero-padded map over all pixels, channels; 0.001–0.0025 above `ssim` on faces."""
+    return _mean(ssim_map(prediction, target))
+
+
+def masked_mean(values: Float[np.ndarray, "H W C"], weights: Float[np.ndarray, "H W"]) -> float | None:
+    """Mean of a map over a region, weighted; None for a mask without weight.
+
+    Averaging the map leaves the windows whole; painting the outside black in both images would lift SSIM towards 0.99.
+    """
+    if values.shape[:2] != weights.shape:
+        raise ValueError(f"expected a mask of {values.shape[:2]} px (height, width), got {weights.shape}")
+    total = float(weights.sum(dtype=np.float64))
+    return float((values.mean(axis=2, dtype=np.float64) * weights).sum() / total) if total > 0 else None
+
+
+def luma(image: UInt8[np.ndarray, "H W 3"] | Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 1"]:
+    """ITU-R BT.601 luma 0.299 R + 0.587 G + 0.114 B in [0, 1], not rounded."""
+    return (_unit(image) @ np.array([0.299, 0.587, 0.114], np.float32))[..., None]
+
+
+def ms_ssim(prediction: Image, target: Image) -> float:
+    """Multi-scale SSIM (Wang et al. 2003, Eq. 7): contrast terms of four scales times SSIM of the fifth.
+
+    Valid windows; 2×2 means between scales, odd sides padded with zeros as pytorch-msssim does; negative terms count
+    as zero; one product per channel, then the mean over channels.
+
+    Raises:
+        ValueError: The shorter side is 160 px or less, so that a window would not fit into the fifth scale.
+    """
+    if min(prediction.shape[:2]) <= MS_SHORTEST:
+        found = f"{prediction.shape[1]}x{prediction.shape[0]}"
+        raise ValueError(f"expected more than 160 px on the shorter side for MS-SSIM, got {found}")
+    first, second = _unit(prediction), _unit(target)
+    product = np.ones(prediction.shape[2])
+    for scale, weight in enumerate(MS_WEIGHTS):
+        luminance, contrast = (valid(term) for term in _terms(first, second))
+        term = luminance * contrast if scale == len(MS_WEIGHTS) - 1 else contrast
+        product *= np.maximum(term.mean(axis=(0, 1), dtype=np.float64), 0) ** weight
+        first, second = _halved(first), _halved(second)
+    return float(product.mean())
+
+
+def _terms(first: Float[np.ndarray, "H W C"], second: Float[np.ndarray, "H W C"]) -> tuple[np.ndarray, np.ndarray]:
+    """Luminance and contrast-structure terms of SSIM at every pixel of zero-padded images.
+
+    Variances do not change when a constant is subtracted; around middle grey float32 keeps more digits of them.
+    """
+    half = np.float32(0.5)
+    x, y = (_padded(image) - half for image in (first, second))
+    mean_x, mean_y = _blurred(x), _blurred(y)
+    # The order of operations makes the terms of identical images exactly one.
+    variances = _blurred(x * x + y * y) - (mean_x * mean_x + mean_y * mean_y)
+    covariance = _blurred(x * y) - mean_x * mean_y
+    mean_x += half
+    mean_y += half
+    luminance = (2 * mean_x * mean_y + np.float32(C1)) / (mean_x * mean_x + mean_y * mean_y + np.float32(C1))
+    return luminance, (2 * covariance + np.float32(C2)) / (variances + np.float32(C2))
+
+
+def _padded(image: np.ndarray) -> np.ndarray:
+    """The image with zeros around it, as wide as the window reaches."""
+    sides = (RADIUS, RADIUS, RADIUS, RADIUS)
+    padded = cv2.copyMakeBorder(image, *sides, borderType=cv2.BORDER_CONSTANT, value=0)
+    return padded.reshape(*padded.shape[:2], -1)
+
+
+def _blurred(image: np.ndarray) -> np.ndarray:
+    """Gaussian means at the pixels of the unpadded image."""
+    kernel = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)
+    blurred = cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+    return blurred.reshape(image.shape)[RADIUS:-RADIUS, RADIUS:-RADIUS]
+
+
+def _halved(image: np.ndarray) -> np.ndarray:
+    """Means of 2×2 blocks; an odd side is padded with a zero in front, which counts as a pixel."""
+    rows, columns = image.shape[0] % 2, image.shape[1] % 2
+    even = np.pad(image, ((rows, rows), (columns, columns), (0, 0)))
+    height, width = even.shape[0] // 2 * 2, even.shape[1] // 2 * 2
+    return even[:height, :width].reshape(height // 2, 2, width // 2, 2, -1).mean(axis=(1, 3))
+
+
+def _unit(image: np.ndarray) -> np.ndarray:
+    """The image as float32 in [0, 1]."""
+    if image.dtype == np.uint8:
+        return image.astype(np.float32) / np.float32(255)
+    return np.ascontiguousarray(image, dtype=np.float32)
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean(dtype=np.float64))

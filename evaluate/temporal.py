@@ -1,0 +1,65 @@
+"""How a render moves compared with the truth: numbers of two consecutive frames, and jitter of landmark tracks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+Image = UInt8[np.ndarray, "H W 3"]
+
+STATIC_LEVELS = 2
+"""Largest change of a channel, in 8-bit levels, at which a pixel of the truth counts as static."""
+
+
+def frame_difference_error(before: tuple[Image, Image], now: tuple[Image, Image]) -> float:
+    """Mean absolute error of the change between two frames, range 1.
+
+    mean |(render[t] − render[t−1]) − (truth[t] − truth[t−1])| over all pixels and channels. A constant error of the
+    render cancels; what is left is flicker, lag and missing motion.
+
+    Args:
+        before: Render and truth of frame t − 1.
+        now: Render and truth of frame t.
+    """
+    changes = [cv2.subtract(new, old, dtype=cv2.CV_16S) for new, old in zip(now, before, strict=True)]
+    return cv2.norm(changes[0], changes[1], cv2.NORM_L1) / (255.0 * changes[0].size)
+
+
+def flicker(
+    before: tuple[Image, Image], now: tuple[Image, Image], mask: UInt8[np.ndarray, "H W"] | None = None
+) -> float | None:
+    """Mean absolute change of the render where the truth stands still, range 1.
+
+    Args:
+        before: Render and truth of frame t − 1.
+        now: Render and truth of frame t.
+        mask: Non-zero where pixels may count (the person in both frames), or None for all.
+
+    Returns:
+        The mean over the static pixels and the channels; None if there is no static pixel.
+    """
+    static = (cv2.absdiff(now[1], before[1]).max(axis=2) <= STATIC_LEVELS).astype(np.uint8)
+    if mask is not None:
+        static &= (mask != 0).astype(np.uint8)
+    count = int(cv2.countNonZero(static))
+    if count == 0:
+        return None
+    change = cv2.absdiff(now[0], before[0])
+    return float(change[static != 0].sum(dtype=np.int64)) / (3 * 255.0 * count)
+
+
+def landmark_jitter(prediction: Float[np.ndarray, "T L 2"], truth: Float[np.ndarray, "T L 2"]) -> float | None:
+    """Mean length of the second difference of the landmark error over consecutive frames, px.
+
+    The error e[t] = prediction[t] − truth[t] of a render that is merely offset, or drifts evenly, does not count;
+    |e[t−1] − 2 e[t] + e[t+1]| does. Rows with NaN (nothing detected) are left out, never scored zero.
+
+    Returns:
+        The mean over the complete triples and the landmarks; None without any.
+    """
+    error = prediction - truth
+    second = error[:-2] - 2 * error[1:-1] + error[2:]
+    lengths = np.linalg.norm(second, axis=2)
+    complete = lengths[np.isfinite(lengths)]
+    return float(complete.mean()) if complete.size else None
