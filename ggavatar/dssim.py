@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Any, cast
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import conv2d
+
+from ggavatar.acceleration import compiled_for
 
 WINDOW, SIGMA = 11, 1.5
 LUMINANCE, CONTRAST = 0.01**2, 0.03**2
@@ -32,6 +35,8 @@ class DssimTarget:
     def of(image: Float[Tensor, "H W C"]) -> DssimTarget:
         """Blur `image` and its square."""
         image = image.detach().contiguous()
+        if image.shape[-1] == 3 and compiled_for(image):
+            return _compiled_target(image)
         mean, square_mean = _blur(torch.cat((image, image.square()), dim=-1)).chunk(2, dim=-1)
         return DssimTarget(image, mean.contiguous(), square_mean.contiguous())
 
@@ -50,6 +55,8 @@ def dssim(image: Float[Tensor, "H W C"], target: DssimTarget | Float[Tensor, "H 
         Wang et al. 2004; Kerbl et al. 2023 (zero padding, no sample covariance).
     """
     target = target if isinstance(target, DssimTarget) else DssimTarget.of(target)
+    if image.shape[-1] == 3 and compiled_for(image, target.image):
+        return cast(Tensor, _CompiledDssim.apply(image, target))
     return dssim_in_torch(image, target)
 
 
@@ -65,15 +72,44 @@ def dssim_in_torch(image: Float[Tensor, "H W C"], target: DssimTarget) -> Float[
     return 1 - (luminance * structure).mean()
 
 
-def window() -> list[float]:
-    """The normalised one-dimensional window."""
-    weights = [math.exp(-((index - WINDOW // 2) ** 2) / (2 * SIGMA**2)) for index in range(WINDOW)]
-    return [weight / sum(weights) for weight in weights]
-
-
 def _blur(maps: Float[Tensor, "H W K"]) -> Float[Tensor, "H W K"]:
     """Gaussian-weighted local means with zeros beyond the border."""
-    line = maps.new_tensor(window())
+    offsets = torch.arange(WINDOW, dtype=maps.dtype, device=maps.device) - WINDOW // 2
+    line = torch.softmax(-offsets.square() / (2 * SIGMA**2), dim=0)
     count = maps.shape[-1]
     kernel = torch.outer(line, line).expand(count, 1, WINDOW, WINDOW)
     return conv2d(maps.permute(2, 0, 1)[None], kernel, padding=WINDOW // 2, groups=count)[0].permute(1, 2, 0)
+
+
+class _CompiledDssim(torch.autograd.Function):
+    """The compiled kernel; the gradient is found in the forward sweep, since only a factor is missing."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: DssimTarget) -> Tensor:
+        from ggavatar import dssim_kernel
+
+        wanted = ctx.needs_input_grad[0]
+        gradient = torch.empty(image.shape if wanted else (0, *image.shape[1:]))
+        total = dssim_kernel.compare(
+            *(_matrix(a) for a in (image, target.image, target.mean, target.square_mean, gradient))
+        )
+        ctx.save_for_backward(gradient)
+        return image.new_tensor(1 - total / image.numel())
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * upstream, None
+
+
+def _compiled_target(image: Tensor) -> DssimTarget:
+    from ggavatar import dssim_kernel
+
+    target = DssimTarget(image, torch.empty_like(image), torch.empty_like(image))
+    dssim_kernel.prepare(_matrix(image), _matrix(target.mean), _matrix(target.square_mean))
+    return target
+
+
+def _matrix(image: Tensor) -> np.ndarray[Any, Any]:
+    """An image as rows of W·C floats."""
+    return image.detach().contiguous().flatten(1).numpy()
