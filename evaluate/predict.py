@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
+from typing import Protocol as Interface
 
 import numpy as np
 import torch
@@ -18,10 +19,12 @@ from torch import Tensor
 from evaluate.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
 from evaluate.frame_files import frame_file, to_8_bit
 from evaluate.ground_truth import Pictures, Truth
+from evaluate.protocol import GIVEN, Protocol
 from ggavatar.arrays import write_atomically
-from ggavatar.core import Frame
+from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.pictures import write_png
+from ggavatar.runs import Run, choose_split, open_run
 
 FOLDERS = ("predictions", "ground_truth", "masks")
 SUMMARY = "predict.json"
@@ -29,15 +32,39 @@ SUMMARY = "predict.json"
 Progress = Callable[[int, int], None]
 
 
-class Renderable(Protocol):
+class Poses(Interface):
+    """Drives and cameras by source frame number, as `ggavatar.batches.Frames` has them."""
+
+    def drive(self, number: int) -> Drive:
+        """What moves the head."""
+        ...
+
+    def camera(self, number: int) -> Camera:
+        """Where it is seen from, at the capture's size."""
+        ...
+
+
+class Renderable(Interface):
     """The part of `ggavatar.runs.Run` that predicting needs."""
 
-    avatar: Any
-    rasterize: Any
-    capture: Pictures
+    @property
+    def avatar(self) -> Any:
+        """A method's avatar in evaluation mode."""
+        ...
 
-    def frames(self, numbers: Sequence[int]) -> Iterator[Frame]:
-        """Frames by source number, in the order asked."""
+    @property
+    def rasterize(self) -> Rasterizer:
+        """The renderer for its device."""
+        ...
+
+    @property
+    def capture(self) -> Pictures:
+        """Where the ground truth comes from."""
+        ...
+
+    @property
+    def reader(self) -> Poses:
+        """What moves and sees the head in each source frame."""
         ...
 
 
@@ -66,6 +93,55 @@ class Job:
         return hashlib.sha256(json.dumps(self.described(), sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
+def predict(
+    run_folder: Path | str,
+    protocol: Protocol,
+    folder: Path,
+    device: str = "cpu",
+    step: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Render the test frames of a protocol with a trained run; see `predict_frames` for what is written.
+
+    Args:
+        run_folder: Written by ggavatar-train.
+        protocol: Its split, background, mask and resolution decide the pictures; what is `given` follows the run.
+        folder: Where to write.
+        device: Where to draw.
+        step: Which checkpoint; None is the newest.
+        progress: Called with (done, total).
+
+    Raises:
+        InputError: Not a run, a split the capture does not have, or test frames that the run was trained on.
+    """
+    run = open_run(run_folder, device, step)
+    return predict_frames(run, job_of(run, protocol), folder, progress)
+
+
+def job_of(run: Run, protocol: Protocol) -> Job:
+    """What a protocol asks of a run; `InputError` if the run was trained on frames that the protocol tests."""
+    own = protocol.split in (GIVEN, run.config.split)
+    frames = run.split.test if own else choose_split(run.capture, protocol.split)[1].test
+    leaked = sorted(set(frames) & set(run.split.train))
+    if leaked:
+        raise InputError(
+            f"{run.folder}: expected a run that has not seen the test frames of {protocol.split}, found {len(leaked)} "
+            f"of {len(frames)} (first {leaked[0]}) among its training frames (split {run.config.split}); train with "
+            f"--split {protocol.split}, or score with the split it was trained for"
+        )
+    red, green, blue = run.background.tolist() if protocol.background_rgb is None else protocol.background_rgb
+    truth = Truth((red, green, blue), protocol.size, protocol.mask == "binary")
+    record = run.folder / "checkpoints" / f"step-{run.step:09d}.json"
+    identity = {
+        "subject": run.capture.subject,
+        "method": run.method,
+        "step": run.step,
+        "checkpoint_sha256": json.loads(record.read_text(encoding="utf-8"))["sha256"],
+        "split": run.config.split if own else protocol.split,
+    }
+    return Job(tuple(frames), truth, identity)
+
+
 def predict_frames(run: Renderable, job: Job, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
     """Write `predictions/`, `ground_truth/` and `masks/` as 8-bit PNG named by source frame number, and `predict.json`.
 
@@ -92,12 +168,10 @@ def predict_frames(run: Renderable, job: Job, folder: Path, progress: Progress |
     report(done, len(job.frames))
     seconds: list[float] = []
     counts: list[int] = []
-    for number, frame in zip(missing, run.frames(missing), strict=True):
+    for number in missing:
         image, mask = job.truth.of(run.capture, number)
-        camera = frame.camera.resized(image.shape[1], image.shape[0])
-        rendering, gaussians, elapsed = timed_render(
-            run.avatar, run.rasterize, (frame.drive, camera), job.truth.background
-        )
+        view = run.reader.drive(number), run.reader.camera(number).resized(image.shape[1], image.shape[0])
+        rendering, gaussians, elapsed = timed_render(run.avatar, run.rasterize, view, job.truth.background)
         _write_frame(folder, number, (pixels_of(rendering.image), image, mask))
         seconds.append(elapsed)
         counts.append(gaussians.means.shape[0])

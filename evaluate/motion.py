@@ -1,0 +1,176 @@
+"""A performance as plain arrays: what drives an avatar, whoever performed it. Numpy only."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ggavatar.arrays import read_npz
+from ggavatar.capture import Capture
+from ggavatar.errors import InputError
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Where T frames of a performance are seen from.
+
+    Attributes:
+        world_to_camera: Rigid, OpenCV axes, m.
+        intrinsics: px of pictures of `size`.
+        size: Width and height of the pictures, px.
+    """
+
+    world_to_camera: Float[np.ndarray, "T 4 4"]
+    intrinsics: Float[np.ndarray, "T 3 3"]
+    size: tuple[int, int]
+
+    def rows(self, chosen: np.ndarray | slice) -> Cameras:
+        """Some of the frames."""
+        return Cameras(self.world_to_camera[chosen], self.intrinsics[chosen], self.size)
+
+    def metres_across(self) -> float:
+        """Width of what the first frame's picture shows at the distance of the head, m."""
+        depth = max(abs(float(self.world_to_camera[0, 2, 3])), 1e-6)
+        return depth * self.size[0] / float(self.intrinsics[0, 0, 0])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """T frames of head parameters and, where known, cameras.
+
+    Attributes:
+        expression: Coefficients of the basis named by `head_version`.
+        joint_rotations: Axis-angle in the order of `joint_names`, rad.
+        eyelids: Closing of the left and right lid, 0 open.
+        translation: Of the posed head, m.
+        cameras: None if the source has none.
+        frames: Source frame numbers.
+        fps: Frames per second of the source.
+        joint_names: As in the head model.
+        head_version: Tag of the parameter space.
+    """
+
+    expression: Float[np.ndarray, "T E"]
+    joint_rotations: Float[np.ndarray, "T J 3"]
+    eyelids: Float[np.ndarray, "T 2"]
+    translation: Float[np.ndarray, "T 3"]
+    cameras: Cameras | None
+    frames: tuple[int, ...]
+    fps: float
+    joint_names: tuple[str, ...]
+    head_version: str
+
+    def rows(self, chosen: np.ndarray | slice) -> Motion:
+        """Some of the frames."""
+        return dataclasses.replace(
+            self,
+            expression=self.expression[chosen],
+            joint_rotations=self.joint_rotations[chosen],
+            eyelids=self.eyelids[chosen],
+            translation=self.translation[chosen],
+            cameras=self.cameras and self.cameras.rows(chosen),
+            frames=tuple(np.array(self.frames)[chosen].tolist()),
+        )
+
+    def row(self, frame: int) -> int:
+        """Row of a source frame; `InputError` if there is none."""
+        if frame not in self.frames:
+            raise InputError(f"expected a frame from {self.frames[0]} to {self.frames[-1]}, found no frame {frame}")
+        return self.frames.index(frame)
+
+
+def motion_of(capture: Capture) -> Motion:
+    """The tracked performance of a capture."""
+    tracking = capture.tracking
+    names = read_npz(capture.head_path, ["joint_names"])["joint_names"]
+    return Motion(
+        expression=tracking.expression.astype(np.float64),
+        joint_rotations=tracking.joint_rotations.astype(np.float64),
+        eyelids=tracking.eyelids.astype(np.float64),
+        translation=tracking.translation.astype(np.float64),
+        cameras=Cameras(
+            tracking.world_to_camera.astype(np.float64),
+            tracking.intrinsics.astype(np.float64),
+            (capture.width, capture.height),
+        ),
+        frames=capture.frames,
+        fps=capture.fps,
+        joint_names=tuple(str(name) for name in names),
+        head_version=capture.head_version,
+    )
+
+
+def read_motion(path: Path) -> Motion:
+    """A performance from a capture folder or from an npz file (docs/rendering.md).
+
+    Raises:
+        InputError: It is neither, or an array is missing, of the wrong shape or not finite.
+    """
+    if path.is_dir():
+        return motion_of(Capture.open(path))
+    if path.suffix.lower() != ".npz":
+        raise InputError(f"{path}: expected a capture folder or an .npz of head parameters to drive with")
+    arrays = read_npz(path)
+    count = len(_array(path, arrays, "expression", (None, None)))
+    names = tuple(str(name) for name in np.atleast_1d(arrays.get("joint_names", np.array([], str))))
+    if "version" not in arrays:
+        raise InputError(f"{path}: expected 'version' with the tag of the head, such as flame2020, found no such array")
+    if "joint_rotations" in arrays and not names:
+        raise InputError(f"{path}: expected 'joint_names' beside 'joint_rotations', found none; add them, root first")
+    return Motion(
+        expression=_array(path, arrays, "expression", (None, None)),
+        joint_rotations=_array(path, arrays, "joint_rotations", (count, len(names), 3)),
+        eyelids=_array(path, arrays, "eyelids", (count, 2)),
+        translation=_array(path, arrays, "translation", (count, 3)),
+        cameras=_cameras(path, arrays, count),
+        frames=_frame_numbers(path, arrays, count),
+        fps=_frames_per_second(path, arrays),
+        joint_names=names,
+        head_version=str(arrays["version"]),
+    )
+
+
+def _cameras(path: Path, arrays: dict[str, np.ndarray], count: int) -> Cameras | None:
+    """Cameras, if the three arrays that make them are all there."""
+    present = [name for name in ("world_to_camera", "intrinsics", "size") if name in arrays]
+    if not present:
+        return None
+    if len(present) < 3:
+        raise InputError(f"{path}: expected world_to_camera, intrinsics and size together, found {', '.join(present)}")
+    width, height = _array(path, arrays, "size", (2,))
+    view = _array(path, arrays, "world_to_camera", (count, 4, 4))
+    return Cameras(view, _array(path, arrays, "intrinsics", (count, 3, 3)), (int(width), int(height)))
+
+
+def _frames_per_second(path: Path, arrays: dict[str, np.ndarray]) -> float:
+    fps = float(_array(path, arrays, "fps", ())) if "fps" in arrays else 25.0
+    if not 1 <= fps <= 1000:
+        raise InputError(f"{path}: expected 1 to 1000 frames per second in 'fps', found {fps:g}")
+    return fps
+
+
+def _array(path: Path, arrays: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """A checked array; one that may be missing is zero, which moves nothing."""
+    if name not in arrays:
+        if None in shape:
+            raise InputError(f"{path}: expected the array {name!r}, found {', '.join(sorted(arrays)) or 'none at all'}")
+        return np.zeros([size or 0 for size in shape])
+    array = arrays[name]
+    wanted = "×".join("any" if size is None else str(size) for size in shape)
+    fits = [size in (None, found) for size, found in zip(shape, array.shape, strict=False)]
+    if array.ndim != len(shape) or not all(fits) or 0 in array.shape[:1]:
+        raise InputError(f"{path}: expected {name!r} of shape {wanted}, found {'×'.join(map(str, array.shape))}")
+    if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        raise InputError(f"{path}: expected finite numbers in {name!r}, found {array.dtype} with NaN, infinity or text")
+    return array.astype(np.float64)
+
+
+def _frame_numbers(path: Path, arrays: dict[str, np.ndarray], count: int) -> tuple[int, ...]:
+    frames = [int(number) for number in np.atleast_1d(arrays.get("frames", np.arange(count)))]
+    if len(frames) != count or sorted(set(frames)) != frames:
+        raise InputError(f"{path}: expected {count} ascending frame numbers in 'frames', found {len(frames)}")
+    return tuple(frames)

@@ -1,0 +1,69 @@
+"""The novel-view figure: one frame seen from around the head, a row over y and a row over x."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from evaluate.frame_files import to_8_bit
+from evaluate.ground_truth import Color
+from evaluate.orbit import turned
+from evaluate.sheet import Row, resized, sheet
+from ggavatar.core import Avatar, Camera, Drive, Rasterizer
+
+YAWS = (-40, -25, -12, 0, 12, 25, 40)
+PITCHES = (-25, -16, -8, 0, 8, 16, 25)
+
+
+@torch.no_grad()
+def views_at(
+    avatar: Avatar,
+    rasterize: Rasterizer,
+    pose: tuple[Drive, Camera, Float[Tensor, " 3"]],
+    angles: Sequence[tuple[float, float]],
+    background: Color,
+) -> list[UInt8[np.ndarray, "H W 3"]]:
+    """The avatar in one pose from several sides.
+
+    Args:
+        avatar: Poses the Gaussians, once for all views.
+        rasterize: Draws them.
+        pose: Drive, camera to start from, and centre to turn about, m.
+        angles: Yaw and pitch of every view, degrees.
+        background: sRGB in [0, 1].
+    """
+    drive, camera, center = pose
+    gaussians = avatar.gaussians(drive)
+    color = center.new_tensor(background)
+    cameras = [turned(camera, center, math.radians(yaw), math.radians(pitch)) for yaw, pitch in angles]
+    return [to_8_bit(rasterize(gaussians, camera, color).image.float().cpu().numpy()) for camera in cameras]
+
+
+def novel_views(
+    avatar: Avatar,
+    rasterize: Rasterizer,
+    pose: tuple[Drive, Camera, Float[Tensor, " 3"]],
+    background: Color = (1.0, 1.0, 1.0),
+    width: int = 256,
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Seven views about the vertical and seven about the horizontal axis of the image; the middle ones are the frame itself.
+
+    Args:
+        avatar: Poses the Gaussians.
+        rasterize: Draws them.
+        pose: Drive, camera to start from, and centre to turn about, m.
+        background: sRGB in [0, 1].
+        width: Of one picture, px.
+    """
+    over_y = views_at(avatar, rasterize, pose, [(yaw, 0.0) for yaw in YAWS], background)
+    over_x = views_at(avatar, rasterize, pose, [(0.0, pitch) for pitch in PITCHES], background)
+    rows = [
+        Row([resized(image, width) for image in over_y], "turned over y", [f"{angle:+d}°" for angle in YAWS]),
+        Row([resized(image, width) for image in over_x], "turned over x", [f"{angle:+d}°" for angle in PITCHES]),
+    ]
+    return sheet(rows, note="0° is the camera of the frame; the expression is held")

@@ -1,0 +1,59 @@
+"""Views around the head: cameras turned about its centre, over x and over y, with the expression held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ggavatar.core import Camera, Drive
+from ggavatar.geometry import axis_angle_to_matrix, rigid
+from ggavatar.head.model import HeadModel
+
+
+def head_center(head: HeadModel, drive: Drive) -> Float[Tensor, " 3"]:
+    """Middle of the posed head in the world, m: of the box around face, scalp and ears, or around all vertices.
+
+    Heads may come with neck and shoulders, whose vertices must not pull the centre down.
+    """
+    vertices = head.vertices(drive)
+    skull = [head.regions[name] for name in ("face", "scalp", "ears") if name in head.regions]
+    chosen = vertices[torch.cat(skull)] if skull else vertices
+    return (chosen.amin(dim=0) + chosen.amax(dim=0)) / 2
+
+
+def turned(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float) -> Camera:
+    """The camera moved on a sphere about `center`, which stays where it is in the image.
+
+    Args:
+        camera: Where to start.
+        center: World point, m.
+        yaw: Turn about the image's vertical axis, rad; positive moves the camera to its own right, so the cheek on the
+            right of the image comes forward.
+        pitch: Turn about the image's horizontal axis, rad; positive moves the camera up, so the crown comes forward.
+    """
+    like = camera.world_to_camera
+    about_y = axis_angle_to_matrix(like.new_tensor([0.0, yaw, 0.0]))
+    about_x = axis_angle_to_matrix(like.new_tensor([pitch, 0.0, 0.0]))
+    rotation = about_x @ about_y
+    pivot = like[:3, :3] @ center + like[:3, 3]
+    return Camera(camera.intrinsics, rigid(rotation, pivot - rotation @ pivot) @ like, camera.width, camera.height)
+
+
+def sweep(count: int, yaw: float, pitch: float) -> Iterator[tuple[float, float]]:
+    """Yaw and pitch of an orbit that ends where it began: right and left, then up and down.
+
+    Args:
+        count: Number of views.
+        yaw: Largest turn to either side, in any unit.
+        pitch: Largest turn up and down, in the same unit.
+    """
+    for index in range(count):
+        phase = index / count
+        if phase < 0.5:
+            yield yaw * math.sin(4 * math.pi * phase), 0.0
+        else:
+            yield 0.0, pitch * math.sin(4 * math.pi * (phase - 0.5))

@@ -1,0 +1,174 @@
+"""What ggavatar-render draws: the views of a split, an orbit or a performance, and the figure that goes with each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from ggavatar.head.files import load_head
+
+from evaluate.drive import drives_of, fitted_to
+from evaluate.frame_files import frame_file
+from evaluate.ground_truth import Color, Truth
+from evaluate.motion import Motion, motion_of, read_motion
+from evaluate.novel_views import novel_views
+from evaluate.orbit import head_center, sweep, turned
+from evaluate.protocol import Protocol
+from evaluate.reenact import Transfer, neutral_row, transferred
+from evaluate.reenactment_figure import reenactment, telling_rows
+from evaluate.render_views import FRAMES, VIDEO, Output, View, claim, render_views
+from evaluate.video import playback_fps
+from ggavatar.capture import Capture
+from ggavatar.errors import InputError
+from ggavatar.head.model import HeadModel
+from ggavatar.pictures import read_rgb, write_png
+from ggavatar.runs import Run, open_run
+
+if TYPE_CHECKING:
+    from evaluate.render_cli import Options
+
+COLUMNS = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Shot:
+    """What to draw.
+
+    Attributes:
+        name: Of the folder under RUN/renders.
+        views: In order.
+        fps: Of the video, pictures per second.
+        figure: Writes the figure once the views are drawn, given the output folder; returns its path, or None.
+    """
+
+    name: str
+    views: Sequence[View]
+    fps: float
+    figure: Callable[[Output], Path | None]
+
+
+def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]:
+    """Do what the options say and return the paths written: folder, video, figure."""
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
+    run = open_run(options.run, device, options.step, options.backend)
+    background = _background(options, run)
+    shot = _shot(options, run, background)
+    views = [_sized(view, options.width) for view in _part(shot.views, options.frames)]
+    folder = options.output_dir or options.run / "renders" / shot.name
+    fps = (options.fps or shot.fps) if options.video else None
+    output = Output(folder, background, fps, options.alpha)
+    claim(output, _content(options, run), options.overwrite, options.resume)
+    render_views(run.avatar, run.rasterize, views, output, progress)
+    written = [folder / FRAMES, folder / VIDEO if options.video else None, shot.figure(output)]
+    return [path for path in written if path is not None]
+
+
+def _shot(options: Options, run: Run, background: Color) -> Shot:
+    if options.drive is not None:
+        return _driven(options, run, background)
+    if options.orbit:
+        return _orbit(options, run, background)
+    names = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
+    frames = names[options.split]
+    views = [View(frame, run.reader.drive(frame), run.reader.camera(frame)) for frame in frames]
+    return Shot(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
+
+
+def _orbit(options: Options, run: Run, background: Color) -> Shot:
+    head = _head(run)
+    frame = run.capture.frames[_neutral(motion_of(run.capture), options.target_neutral)]
+    drive, camera = run.reader.drive(frame), run.reader.camera(frame)
+    center = head_center(head, drive)
+    angles = sweep(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
+    views = [View(index, drive, turned(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
+
+    def figure(output: Output) -> Path:
+        path = output.folder / "novel_views.png"
+        write_png(path, novel_views(run.avatar, run.rasterize, (drive, camera, center), background))
+        return path
+
+    return Shot("orbit", views, run.capture.fps, figure)
+
+
+def _driven(options: Options, run: Run, background: Color) -> Shot:
+    source = options.drive or Path()
+    target, driver = motion_of(run.capture), read_motion(source)
+    driver = fitted_to(driver, target, options.force_basis)
+    if options.transfer == "absolute" and options.pose == "absolute" and driver.cameras is None:
+        raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
+    how = Transfer(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
+    seen = target.rows(np.array([target.row(frame) for frame in run.split.train]))
+    moved = transferred(driver, _neutral(driver, options.neutral), seen, _neutral(seen, options.target_neutral), how)
+    views = [View(*item) for item in drives_of(moved, _head(run))]
+
+    def figure(output: Output) -> Path:
+        drawn = [view.number for view in _part(views, options.frames)]
+        chosen = [driver.frames[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
+        path = output.folder / "reenactment.png"
+        results = {run.method: [read_rgb(frame_file(output.folder / FRAMES, frame)) for frame in chosen]}
+        captions = [f"frame {frame}" for frame in chosen]
+        write_png(path, reenactment(_driver_pictures(source, chosen, background), results, captions))
+        return path
+
+    return Shot(f"drive-{source.stem}", views, driver.fps, figure)
+
+
+def _rows_of(motion: Motion, frames: Sequence[int]) -> np.ndarray:
+    return np.array([motion.row(frame) for frame in frames])
+
+
+def _driver_pictures(source: Path, frames: Sequence[int], background: Color) -> list[np.ndarray]:
+    """The driver's own pictures, where it is a capture."""
+    if not source.is_dir():
+        return []
+    capture = Capture.open(source)
+    return [Truth(background).of(capture, frame)[0] for frame in frames]
+
+
+def _neutral(motion: Motion, frame: int | None) -> int:
+    return neutral_row(motion) if frame is None else motion.row(frame)
+
+
+def _head(run: Run) -> HeadModel:
+    return load_head(run.capture.head_path).to(run.background.device, torch.float32)
+
+
+def _background(options: Options, run: Run) -> Color:
+    red, green, blue = run.background.tolist()
+    if options.background is None:
+        return red, green, blue
+    return Protocol("render", background=options.background).background_rgb or (red, green, blue)
+
+
+def _part(views: Sequence[View], part: str | None) -> Sequence[View]:
+    """The views that START:STOP:STEP selects; `InputError` if it is not of that form or selects none."""
+    if part is None:
+        return views
+    try:
+        bounds = [int(text) if text else None for text in part.split(":")]
+        chosen = views[slice(*bounds)] if 2 <= len(bounds) <= 3 else []
+    except ValueError:
+        chosen = []
+    if not chosen:
+        raise InputError(f"expected --frames START:STOP or START:STOP:STEP over {len(views)} frames, found {part!r}")
+    return chosen
+
+
+def _sized(view: View, width: int | None) -> View:
+    if width is None:
+        return view
+    return view._replace(
+        camera=view.camera.resized(width, max(1, round(view.camera.height * width / view.camera.width)))
+    )
+
+
+def _content(options: Options, run: Run) -> dict[str, Any]:
+    """What decides the pictures, as plain values: equal for equal pictures."""
+    skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device"}
+    chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
+    chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
+    return {"subject": run.capture.subject, "method": run.method, "step": run.step, "options": chosen}

@@ -1,0 +1,64 @@
+"""Steadier performances: the One-Euro filter for live input, Savitzky–Golay for recorded input."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import savgol_filter
+
+METHODS = ("none", "one-euro", "savgol")
+
+
+def one_euro(
+    values: Float[np.ndarray, "T D"], fps: float, min_cutoff: float = 1.5, beta: float = 0.5, speed_cutoff: float = 1.0
+) -> Float[np.ndarray, "T D"]:
+    """Low-pass filter whose cutoff rises with speed: steady at rest, little lag in motion. Causal.
+
+    Args:
+        values: One row a frame.
+        fps: Frames per second.
+        min_cutoff: Cutoff at rest, Hz; lower is steadier.
+        beta: Rise of the cutoff with speed, Hz per unit a second, speed measured in standard deviations of each column.
+        speed_cutoff: Cutoff for the speed itself, Hz.
+
+    References:
+        Casiez, Roussel and Vogel 2012, "1€ filter", Algorithm 1.
+    """
+    deviation = values.std(axis=0)
+    unit = np.where(deviation > 1e-12, deviation, 1.0)
+    filtered = values.astype(np.float64)
+    speed = np.zeros(values.shape[1])
+    for row in range(1, len(values)):
+        change = (values[row] - filtered[row - 1]) * fps / unit
+        speed += _share(speed_cutoff, fps) * (change - speed)
+        share = _share(min_cutoff + beta * np.abs(speed), fps)
+        filtered[row] = filtered[row - 1] + share * (values[row] - filtered[row - 1])
+    return filtered
+
+
+def _share(cutoff: float | np.ndarray, fps: float) -> np.ndarray:
+    """Weight of the newest value in an exponential filter of a cutoff, Hz."""
+    radians = 2 * np.pi * np.asarray(cutoff) / fps
+    return radians / (1 + radians)
+
+
+def savgol(values: Float[np.ndarray, "T D"], window: int = 7, order: int = 2) -> Float[np.ndarray, "T D"]:
+    """Least-squares polynomial in a sliding window (Savitzky and Golay 1964): no lag, exact on polynomials of `order`.
+
+    Short clips get the largest odd window that fits; clips too short for that are returned as they are.
+    """
+    window = min(window, len(values) - 1 + len(values) % 2)
+    if window <= order:
+        return values.astype(np.float64)
+    return savgol_filter(values, window, order, axis=0, mode="interp")
+
+
+def smoothed(values: Float[np.ndarray, "T D"], method: str, fps: float) -> Float[np.ndarray, "T D"]:
+    """Values filtered by one of `METHODS`; `ValueError` for another name."""
+    if method == "none":
+        return values
+    if method == "one-euro":
+        return one_euro(values, fps)
+    if method == "savgol":
+        return savgol(values)
+    raise ValueError(f"expected a smoothing among {METHODS}, got {method!r}")
