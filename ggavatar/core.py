@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -115,6 +115,7 @@ class Rendering:
     radii: Float[Tensor, " N"] | Int[Tensor, " N"]
 
 
+@runtime_checkable
 class Rasterizer(Protocol):
     """A differentiable renderer of Gaussians; `ggavatar.render.pick` returns one."""
 
@@ -123,6 +124,7 @@ class Rasterizer(Protocol):
         ...
 
 
+@runtime_checkable
 class Avatar(Protocol):
     """What a method must offer; the trainer and the evaluator use nothing else. Implementations are `torch.nn.Module`s.
 
