@@ -1,0 +1,164 @@
+"""ggavatar-eval: score, tabulate, gate. Starts without torch; runs and learned metrics import it when needed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from evaluate.options import Options, parse
+from evaluate.outputs import build_tables, write_tables
+from evaluate.pairing import pair_folders
+from evaluate.regression import Check, check_limits, compare, parse_limits, to_github, write_junit
+from evaluate.render_table_terminal import show
+from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.score import Labels, Perceptual, learned_metrics, score
+from evaluate.weights import model_folders
+from ggavatar.errors import GateError, InputError, run_command
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command and return its exit code: 0 done, 1 failed, 2 bad input, 3 a gate failed."""
+    return run_command(lambda: _evaluate(parse(arguments)))
+
+
+def _evaluate(options: Options) -> int:
+    """Score everything named, write and print the tables, then check the gates."""
+    console = Console(soft_wrap=True)
+    limits = _limits(options)
+    evaluations, written = _gather(options, console)
+    tables = build_tables(evaluations, options.layout, options.with_paper)
+    folder = _table_folder(options)
+    written += write_tables(tables, folder)
+    if options.table:
+        console.print()
+        for table in tables if len(evaluations) > 1 else tables[:1]:
+            if table.name != "detail":
+                show(table, console)
+    checks = _checks(options, evaluations, limits)
+    if options.gates.junit:
+        write_junit(options.gates.junit, checks)
+        written.append(options.gates.junit)
+    if not options.quiet:
+        for path in written:
+            console.print(f"wrote {path}", markup=False, highlight=False)
+    return _finish(options, evaluations, written, checks)
+
+
+def _finish(options: Options, evaluations: list[Evaluation], written: list[Path], checks: list[Check]) -> int:
+    """Annotations, the summary line and the exit code."""
+    if options.gates.github:
+        sys.stdout.write(to_github(checks))
+    if options.json:
+        sys.stdout.write(json.dumps(_summary(evaluations, written, checks), allow_nan=False) + "\n")
+    sys.stdout.flush()
+    if fallen := [check for check in checks if not check.passed]:
+        raise GateError("; ".join(f"{check.case}: {check.message}" for check in fallen))
+    return 0
+
+
+def _limits(options: Options) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Floors, ceilings and tolerances, checked before anything takes time."""
+    gates = options.gates
+    return (
+        parse_limits(gates.fail_below, "--fail-below"),
+        parse_limits(gates.fail_above, "--fail-above"),
+        parse_limits(gates.tolerance, "--tolerance"),
+    )
+
+
+def _checks(options: Options, evaluations: Sequence[Evaluation], limits: tuple[dict[str, float], ...]) -> list[Check]:
+    floors, ceilings, tolerances = limits
+    checks = check_limits(evaluations, floors, ceilings)
+    if options.gates.compare:
+        checks += compare(evaluations, [read_results(options.gates.compare)], tolerances)
+    return checks
+
+
+def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[Path]]:
+    """Evaluations of all that was named, and the files written for them."""
+    if options.folders.pred:
+        evaluation = score_folders(options, _progress(options, console, "scoring"))
+        return [evaluation], write_results(evaluation, _table_folder(options))
+    evaluations: list[Evaluation] = []
+    written: list[Path] = []
+    for path in options.runs:
+        if path.is_file() or (path / METRICS_FILE).is_file():
+            evaluations.append(read_results(path))
+            continue
+        from evaluate.run_evaluation import evaluate_run
+
+        evaluation, files = evaluate_run(path, options, lambda title: _progress(options, console, title))
+        evaluations.append(evaluation)
+        written += files
+    return evaluations, written
+
+
+def score_folders(options: Options, progress: Callable[[int, int], None] | None = None) -> Evaluation:
+    """Score the two folders of the options; `InputError` on any mismatch."""
+    folders = options.folders
+    if folders.pred is None or folders.gt is None:
+        raise InputError("expected --pred and --gt")
+    protocol = options.base_protocol()
+    if options.protocol != "auto":
+        protocol = protocol.override(split="given", resolution="given", mask="given")
+    pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
+    names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
+    provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
+    labels = Labels(*names, seed=folders.seed, provenance=provenance)
+    return score(pairs, protocol, labels, learned(options, protocol), options.threads, progress)
+
+
+def learned(options: Options, protocol: Any) -> Perceptual | None:
+    """Learned metrics of a protocol, unless switched off."""
+    return learned_metrics(protocol, model_folders(options.models)) if not options.no_lpips else None
+
+
+def _table_folder(options: Options) -> Path:
+    """Where tables go: the folder asked for, beside a single result, or `evaluation/`."""
+    if options.output:
+        return options.output
+    if options.folders.pred:
+        return options.folders.pred.resolve().parent / f"{options.folders.pred.resolve().name}-evaluation"
+    if len(options.runs) == 1:
+        path = options.runs[0]
+        return path.parent if path.is_file() else path
+    return Path("evaluation")
+
+
+def _progress(options: Options, console: Console, title: str) -> Callable[[int, int], None] | None:
+    """A live line on a terminal, a line per tenth elsewhere."""
+    if options.quiet:
+        return None
+    stderr = Console(stderr=True)
+
+    def show_progress(done: int, total: int) -> None:
+        if stderr.is_terminal:
+            stderr.print(f"{title} {done}/{total}", end="\n" if done == total else "\r", highlight=False)
+        elif done * 10 // total != (done - 1) * 10 // total:
+            stderr.print(f"{title} {done}/{total}", highlight=False)
+
+    return show_progress
+
+
+def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks: Sequence[Check]) -> dict[str, Any]:
+    """What a calling program wants to know, in one line."""
+    found = [
+        {
+            "subject": e.subject,
+            "method": e.method,
+            "seed": e.seed,
+            "protocol": e.protocol.id,
+            "digest": e.protocol.digest,
+            "frames": len(e.frames),
+            "metrics": {name: e.summary(name).mean for name in e.columns},
+            "missing": dict(e.missing),
+        }
+        for e in evaluations
+    ]
+    failed = [{"case": check.case, "message": check.message} for check in checks if not check.passed]
+    return {"evaluations": found, "files": [str(path) for path in written], "failed": failed}

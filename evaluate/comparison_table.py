@@ -1,0 +1,207 @@
+"""The main tables: subjects × methods × metrics as in the paper's Table 1, and one row a method as in its Table 2."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from evaluate.catalogue import metric_of, title_of
+from evaluate.results import Evaluation
+from evaluate.statistics import deviation_over_seeds
+from evaluate.table import (
+    IDENTICAL,
+    Cell,
+    Column,
+    Row,
+    Table,
+    marked_across,
+    marked_rows,
+    missing_cell,
+    number_cell,
+)
+from ggavatar.errors import InputError
+
+TITLES = MappingProxyType(
+    {
+        "ggavatar": "GGAvatar",
+        "gaussian_avatars": "GaussianAvatars",
+        "flash_avatar": "FlashAvatar",
+        "point_avatar": "PointAvatar",
+        "splatting_avatar": "SplattingAvatar",
+        "mono_gaussian_avatar": "MonoGaussianAvatar",
+    }
+)
+"""Printed names of methods by their names on the command line; others are printed as they are."""
+
+
+def printed(method: str) -> str:
+    """The name of a method as the tables print it."""
+    return TITLES.get(method.replace("-", "_"), method)
+
+
+@dataclass(frozen=True)
+class Study:
+    """Evaluations under one protocol, by subject and method; several of one pair are runs with different seeds."""
+
+    evaluations: tuple[Evaluation, ...]
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """In the order of the evaluations."""
+        return tuple(dict.fromkeys(e.subject for e in self.evaluations))
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """In the order of the evaluations."""
+        return tuple(dict.fromkeys(e.method for e in self.evaluations))
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """What the main table shows."""
+        return self.evaluations[0].protocol.table_metrics
+
+    def runs(self, subject: str, method: str) -> list[Evaluation]:
+        """The evaluations of one pair."""
+        return [e for e in self.evaluations if e.subject == subject and e.method == method]
+
+    def cell(self, subject: str, method: str, metric: str) -> Cell:
+        """Mean over frames, then over seeds; `±` is the deviation over seeds."""
+        runs = self.runs(subject, method)
+        if not runs:
+            return missing_cell(f"{printed(method)} was not evaluated on {subject}")
+        summaries = [run.summary(metric) for run in runs]
+        means = [summary.mean for summary in summaries if summary.mean is not None]
+        if len(means) == len(runs):
+            return number_cell(statistics.fmean(means), metric_of(metric).digits, deviation_over_seeds(means))
+        if all(summary.identical for summary in summaries):
+            return Cell(IDENTICAL, reason="all renders equal the ground truth; PSNR is infinite")
+        return missing_cell(next((r.missing[metric] for r in runs if metric in r.missing), "not measured"))
+
+
+def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
+    """Evaluations sorted into studies of one protocol each.
+
+    Raises:
+        InputError: Two evaluations of one subject, method and seed under one protocol.
+    """
+    groups: dict[str, list[Evaluation]] = {}
+    seen: set[tuple] = set()
+    for evaluation in evaluations:
+        key = (evaluation.protocol.digest, evaluation.subject, evaluation.method, evaluation.seed)
+        if key in seen:
+            raise InputError(
+                f"two evaluations of {evaluation.method} on {evaluation.subject} with seed {evaluation.seed} under "
+                f"{evaluation.protocol.id}; leave one out, or name them apart with --method or --subject"
+            )
+        seen.add(key)
+        groups.setdefault(evaluation.protocol.digest, []).append(evaluation)
+    return [Study(tuple(group)) for group in groups.values()]
+
+
+def metric_columns(metrics: Sequence[str], group: str = "") -> list[Column]:
+    """Ranked columns of metrics."""
+    found = [metric_of(name) for name in metrics]
+    return [
+        Column(f"{title_of(name)} {m.arrow}", group, m.higher_is_better, m.digits)
+        for name, m in zip(metrics, found, strict=True)
+    ]
+
+
+def subjects_table(study: Study) -> Table:
+    """One row a subject, one group of columns a method, and the mean over the subjects that all methods have."""
+    columns = [column for method in study.methods for column in metric_columns(study.metrics, printed(method))]
+    rows = []
+    for subject in study.subjects:
+        cells = [study.cell(subject, method, metric) for method in study.methods for metric in study.metrics]
+        rows.append(Row(subject, tuple(cells)))
+    if len(rows) > 1:
+        rows.append(_mean_row(rows, columns))
+    marked = tuple(marked_across(row, columns) for row in rows)
+    return Table("comparison", caption(study), "Metrics", tuple(columns), marked, notes(study))
+
+
+def _mean_row(rows: Sequence[Row], columns: Sequence[Column]) -> Row:
+    """Mean over the rows in which every method has the metric."""
+    cells, counts = [], set()
+    for place, column in enumerate(columns):
+        rivals = [k for k, other in enumerate(columns) if other.title == column.title]
+        complete = [row for row in rows if all(row.cells[k].value is not None for k in rivals)]
+        counts.add(len(complete))
+        values = [v for row in complete if (v := row.cells[place].value) is not None]
+        reason = "no subject has this metric for every method"
+        cells.append(number_cell(statistics.fmean(values), column.digits) if values else missing_cell(reason))
+    size = f"{min(counts)}–{max(counts)}" if len(counts) > 1 else str(counts.pop())
+    return Row(f"mean of {size}", tuple(cells), rule=True)
+
+
+def ablation_table(study: Study) -> Table:
+    """One row a method (or variant), one section a subject; the full method comes last, under a rule, as in Table 2."""
+    columns = tuple(metric_columns(study.metrics))
+    full = min(study.methods, key=len)
+    order = [*(method for method in study.methods if method != full), full]
+    several = len(study.subjects) > 1
+    rows = [
+        Row(
+            printed(method),
+            tuple(study.cell(subject, method, metric) for metric in study.metrics),
+            section=subject if several else "",
+            rule=method == full,
+        )
+        for subject in study.subjects
+        for method in order
+        if study.runs(subject, method)
+    ]
+    where = "" if several else f" on {study.subjects[0]}"
+    table = Table("ablation", f"Ablation study{where}. {caption(study)}", "Methods", columns, tuple(rows), notes(study))
+    return marked_rows(table)
+
+
+def caption(study: Study) -> str:
+    """What was measured, in one sentence."""
+    protocol = study.evaluations[0].protocol
+    return f"Protocol {protocol.id} (digest {protocol.digest[:12]}), {_frames(study)}."
+
+
+def _frames(study: Study) -> str:
+    counts = sorted({len(e.frames) for e in study.evaluations})
+    return f"{counts[0]} test frames" if len(counts) == 1 else f"{counts[0]}–{counts[-1]} test frames"
+
+
+def notes(study: Study) -> tuple[str, ...]:
+    """What a reader must know about the cells."""
+    found = ["Cells are means over test frames; best and second are marked per metric, ties after rounding shared."]
+    if any(len(study.runs(s, m)) > 1 for s in study.subjects for m in study.methods):
+        found.append("± is the sample deviation over seeds, not over frames.")
+    found += _missing_notes(study)
+    found += _identical_notes(study)
+    for subject in study.subjects:
+        runs = [e for e in study.evaluations if e.subject == subject]
+        if len({e.hashes.get("ground_truth") for e in runs}) > 1:
+            found.append(
+                f"{subject}: the methods were scored against different ground truths or frames; do not rank them."
+            )
+    found += [f"{e.subject}, {printed(e.method)}: {note}" for e in study.evaluations for note in e.notes]
+    return tuple(dict.fromkeys(found))
+
+
+def _missing_notes(study: Study) -> list[str]:
+    """Reasons of the dashes in the table."""
+    return [
+        f"– {title_of(metric)}: {e.missing[metric]}."
+        for e in study.evaluations
+        for metric in study.metrics
+        if metric in e.missing
+    ]
+
+
+def _identical_notes(study: Study) -> list[str]:
+    """Evaluations in which some frames, but not all, have an infinite PSNR."""
+    found = []
+    for e in study.evaluations:
+        count = sum(value is not None and math.isinf(value) for value in e.values.get("psnr", ()))
+        if 0 < count < len(e.frames):
+            found.append(f"{e.subject}, {printed(e.method)}: {count} identical frames are not part of the mean PSNR.")
+    return found

@@ -1,0 +1,136 @@
+"""The tables beside the main one: spread over frames and seeds, paired differences, and what a method costs."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import Any
+
+from evaluate.catalogue import metric_of, title_of
+from evaluate.comparison_table import Study, printed
+from evaluate.results import Evaluation
+from evaluate.statistics import BLOCK_SPAN, RESAMPLES, Difference, deviation_over_seeds, paired_bootstrap
+from evaluate.table import DASH, Cell, Column, Row, Table, missing_cell, number_cell
+
+SPREAD = (("mean", "mean"), ("median", "median"), ("worst_5_percent", "worst 5 %"), ("std_over_frames", "σ frames"))
+
+
+def detail_table(study: Study) -> Table:
+    """Every metric that was measured: one row per run and metric with mean, median, worst 5 % and deviations."""
+    columns = [Column("frames", digits=0), *(Column(title) for _, title in SPREAD), Column("σ seeds")]
+    rows: list[Row] = []
+    for subject in study.subjects:
+        for method in study.methods:
+            runs = study.runs(subject, method)
+            for metric in runs[0].columns if runs else ():
+                rows += _detail_rows(runs, metric, f"{subject} · {printed(method)}")
+    caption = f"All metrics under {study.evaluations[0].protocol.id}."
+    notes = (
+        "worst 5 % is the mean over the worst twentieth of the frames, at least one.",
+        "σ frames is the sample deviation between frames of one run; σ seeds is that between runs with other seeds.",
+    )
+    return Table("detail", caption, "Metric", tuple(columns), tuple(rows), notes)
+
+
+def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Iterator[Row]:
+    """One row per run; the deviation over seeds stands in the first."""
+    means = [m for run in runs if (m := run.summary(metric).mean) is not None]
+    over_seeds = deviation_over_seeds(means) if len(means) == len(runs) else None
+    for place, run in enumerate(runs):
+        label = title_of(metric) + (f", seed {run.seed}" if len(runs) > 1 else "")
+        found, digits = run.summary(metric), metric_of(metric).digits
+        reason = run.missing.get(metric, "all renders equal the ground truth" if found.identical else "not defined")
+        cells = [number_cell(found.count, 0)]
+        cells += [_number(getattr(found, name), digits, reason) for name, _ in SPREAD]
+        cells.append(_number(over_seeds if place == 0 else None, digits, "needs runs with several seeds"))
+        yield Row(label, tuple(cells), section)
+
+
+def _number(value: float | None, digits: int, reason: str) -> Cell:
+    return missing_cell(reason) if value is None else number_cell(value, digits)
+
+
+def significance_table(study: Study) -> Table | None:
+    """Paired differences of every two methods with block-bootstrap intervals; None for a single method."""
+    if len(study.methods) < 2:
+        return None
+    columns = tuple(Column(title_of(name), digits=metric_of(name).digits) for name in study.metrics)
+    rows = []
+    for first, second in combinations(study.methods, 2):
+        cells = tuple(_difference_cell(difference(study, first, second, name), name) for name in study.metrics)
+        rows.append(Row(f"{printed(first)} − {printed(second)}", cells))
+    notes = (
+        "Mean of paired per-frame differences, first minus second, and its 95 % interval; * marks intervals without 0.",
+        f"Circular block bootstrap, {RESAMPLES} samples, blocks of {BLOCK_SPAN} source frames (at most a quarter of "
+        "the test frames), stratified by subject; runs of several seeds are averaged per frame first.",
+    )
+    caption = f"Paired differences under {study.evaluations[0].protocol.id}."
+    return Table("significance", caption, "Difference", columns, tuple(rows), notes)
+
+
+def difference(study: Study, first: str, second: str, metric: str) -> Difference | None:
+    """Bootstrap of one metric between two methods over the subjects and frames both have."""
+    groups = []
+    for subject in study.subjects:
+        one, other = (_frame_means(study.runs(subject, method), metric) for method in (first, second))
+        common = sorted(set(one) & set(other))
+        if common:
+            groups.append((common, [one[n] - other[n] for n in common]))
+    return paired_bootstrap(groups)
+
+
+def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
+    """Mean over the seeds of every frame that has a finite value in all runs."""
+    columns = [dict(zip(run.frames, run.values.get(metric, ()), strict=False)) for run in runs]
+    if not columns:
+        return {}
+    common = set.intersection(*(set(column) for column in columns))
+    rows = {n: [column[n] for column in columns] for n in common}
+    return {
+        n: statistics.fmean(v for v in row if v is not None)
+        for n, row in rows.items()
+        if all(v is not None and math.isfinite(v) for v in row)
+    }
+
+
+def _difference_cell(found: Difference | None, metric: str) -> Cell:
+    if found is None:
+        return missing_cell("no frame has this metric for both")
+    digits = metric_of(metric).digits
+    star = "*" if found.is_significant else ""
+    text = f"{found.mean:+.{digits}f} [{found.low:+.{digits}f}, {found.high:+.{digits}f}]{star}"
+    reason = f"{found.frames} frame pairs, blocks of {found.block}"
+    return Cell(text, found.mean, reason=reason)
+
+
+COSTS = (
+    ("fps", "FPS", 1),
+    ("gaussians", "Gaussians", 0),
+    ("model_megabytes", "MB", 1),
+    ("training_seconds", "training, s", 0),
+    ("peak_memory_megabytes", "peak MB", 0),
+)
+
+
+def efficiency_table(study: Study) -> Table | None:
+    """What rendering and training cost; None if no evaluation says so."""
+    known = [e for e in study.evaluations if e.efficiency]
+    if not known:
+        return None
+    columns = tuple(Column(title, digits=digits) for _, title, digits in COSTS)
+    several = len({(e.subject, e.method) for e in known}) < len(known)
+    rows = tuple(
+        Row(f"{e.subject} · {printed(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e.efficiency))
+        for e in known
+    )
+    words = {str(e.efficiency[key]) for e in known for key in ("fps_statement", "device") if key in e.efficiency}
+    return Table("efficiency", "What rendering and training cost.", "Method", columns, rows, tuple(sorted(words)))
+
+
+def _costs(found: Any) -> tuple[Cell, ...]:
+    return tuple(
+        number_cell(float(found[key]), digits) if found.get(key) is not None else Cell(DASH, reason="not recorded")
+        for key, _, digits in COSTS
+    )

@@ -1,0 +1,64 @@
+"""Tables of all evaluations, and the files they are written to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from evaluate import (
+    render_table_data,
+    render_table_html,
+    render_table_latex,
+    render_table_markdown,
+)
+from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
+from evaluate.detail_table import detail_table, efficiency_table, significance_table
+from evaluate.paper_table import with_paper
+from evaluate.results import Evaluation, write_text
+from evaluate.table import Table
+
+LAYOUTS = ("auto", "subjects", "ablation")
+RENDERERS = {
+    "md": render_table_markdown.to_markdown,
+    "tex": render_table_latex.to_latex,
+    "csv": render_table_data.to_csv,
+    "json": render_table_data.to_json,
+    "html": render_table_html.to_page,
+}
+
+
+def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper: bool = False) -> list[Table]:
+    """The main table of every protocol, followed by details, paired differences and costs.
+
+    Args:
+        evaluations: Any number, in the order in which subjects and methods shall appear.
+        layout: `subjects` is the paper's Table 1, `ablation` its Table 2; `auto` takes the latter for one subject with
+            more than four methods.
+        paper: Set the paper's rows below ours.
+
+    Raises:
+        InputError: Two evaluations of one subject, method, seed and protocol.
+    """
+    tables: list[Table] = []
+    for study in studies(evaluations):
+        tables.append(_main_table(study, layout, paper))
+        tables += [found for found in (significance_table(study), efficiency_table(study)) if found]
+        tables.append(detail_table(study))
+    return tables
+
+
+def _main_table(study: Study, layout: str, paper: bool) -> Table:
+    if paper:
+        return with_paper(study)
+    wide = len(study.subjects) == 1 and len(study.methods) > 4
+    return ablation_table(study) if layout == "ablation" or (layout == "auto" and wide) else subjects_table(study)
+
+
+def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
+    """Write `table.md`, `.tex`, `.csv`, `.json` and `.html` atomically and return their paths."""
+    paths = []
+    for suffix, render in RENDERERS.items():
+        path = folder / f"table.{suffix}"
+        write_text(path, render(tables))
+        paths.append(path)
+    return paths

@@ -1,0 +1,118 @@
+"""The paper's own numbers (`paper.csv`, Tables 1 and 2), as tables of their own or beside ours."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from evaluate.comparison_table import Study, printed, subjects_table
+from evaluate.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
+
+OURS = "Ours"
+PAPER = Path(__file__).with_name("paper.csv")
+NOTE = (
+    "Rows of the paper (Li et al. 2024, Table 1) stand beside ours for orientation only: the paper states neither "
+    "background, SSIM variant, LPIPS network nor input range, and its subjects are not ours."
+)
+METRICS = (("psnr", "PSNR ↑", True, 2), ("ssim", "SSIM ↑", True, 3), ("lpips", "LPIPS ↓", False, 3))
+
+
+@dataclass(frozen=True)
+class Published:
+    """One method on one subject as printed in the paper."""
+
+    table: int
+    subject: str
+    method: str
+    numbers: dict[str, float]
+
+
+def read_paper() -> list[Published]:
+    """The rows of `paper.csv`."""
+    with PAPER.open(encoding="utf-8", newline="") as stream:
+        return [
+            Published(
+                int(row["table"]), row["subject"], row["method"], {name: float(row[name]) for name, *_ in METRICS}
+            )
+            for row in csv.DictReader(stream)
+        ]
+
+
+def paper_table_1() -> Table:
+    """Table 1: five subjects, four methods, three metrics; the marks are computed, not copied."""
+    rows = [row for row in read_paper() if row.table == 1]
+    methods = tuple(dict.fromkeys(row.method for row in rows))
+    columns = [column for method in methods for column in _columns(method)]
+    caption = "Quantitative comparison with state-of-the-art methods."
+    return Table("paper-1", caption, "Metrics", tuple(columns), tuple(_rows(rows, methods, columns)))
+
+
+def paper_table_2() -> Table:
+    """Table 2: the ablation study on ID 1."""
+    rows = [row for row in read_paper() if row.table == 2]
+    drawn = [
+        Row(row.method, tuple(number_cell(row.numbers[n], d) for n, _, _, d in METRICS), rule=row.method == OURS)
+        for row in rows
+    ]
+    return marked_rows(Table("paper-2", "Ablation study on ID 1.", "Methods", tuple(_columns("")), tuple(drawn)))
+
+
+def with_paper(study: Study) -> Table:
+    """Our main table with the paper's rows in a section below; nothing is ranked across the two."""
+    table = subjects_table(study)
+    published = [row for row in read_paper() if row.table == 1]
+    theirs = {_ours(row.method): row for row in published}
+    methods = (*map(printed, study.methods), *(name for name in theirs if name not in set(map(printed, study.methods))))
+    width = len(study.metrics)
+    titles = table.columns[:width]
+    columns = [dataclasses.replace(column, group=method) for method in methods for column in titles]
+    gap = tuple(missing_cell("not evaluated here") for _ in range((len(methods) - len(study.methods)) * width))
+    own = [dataclasses.replace(row, cells=row.cells + gap, section="ours") for row in table.rows]
+    places = [_family(name) for name in study.metrics]
+    drawn = own + _paper_rows(published, methods, places, columns)
+    return dataclasses.replace(table, columns=tuple(columns), rows=tuple(drawn), notes=(*table.notes, NOTE))
+
+
+def _paper_rows(
+    published: Sequence[Published], methods: Sequence[str], metrics: Sequence[str], columns: Sequence[Column]
+) -> list[Row]:
+    rows = []
+    digits = {name: count for name, _, _, count in METRICS}
+    for subject in dict.fromkeys(row.subject for row in published):
+        by_method = {_ours(row.method): row.numbers for row in published if row.subject == subject}
+        cells = []
+        for method in methods:
+            numbers = by_method.get(method, {})
+            for metric in metrics:
+                known = metric in numbers
+                cells.append(
+                    number_cell(numbers[metric], digits[metric]) if known else missing_cell("not in the paper's table")
+                )
+        rows.append(marked_across(Row(subject, tuple(cells), "paper (protocol not stated)"), columns))
+    return rows
+
+
+def _rows(rows: Sequence[Published], methods: Sequence[str], columns: Sequence[Column]) -> list[Row]:
+    found = []
+    for subject in dict.fromkeys(row.subject for row in rows):
+        numbers = {row.method: row.numbers for row in rows if row.subject == subject}
+        cells = tuple(number_cell(numbers[method][n], d) for method in methods for n, _, _, d in METRICS)
+        found.append(marked_across(Row(subject, cells), columns))
+    return found
+
+
+def _columns(group: str) -> list[Column]:
+    return [Column(title, group, higher, digits) for _, title, higher, digits in METRICS]
+
+
+def _ours(method: str) -> str:
+    """The paper's method under the name our tables print."""
+    return "GGAvatar" if method == OURS else method
+
+
+def _family(metric: str) -> str:
+    """The paper's column nearest to one of our metrics."""
+    return metric.partition("_")[0]

@@ -1,0 +1,46 @@
+"""Tables as GitHub Markdown: **best**, <u>second</u>, dashes with footnotes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from evaluate.table import BEST, SECOND, Cell, Row, Table
+
+
+def to_markdown(tables: Sequence[Table]) -> str:
+    """Tables under their captions, in one document."""
+    return "\n".join(_table(table) for table in tables)
+
+
+def _table(table: Table) -> str:
+    titles = [f"{column.group} {column.title}".strip() for column in table.columns]
+    lines = [f"**{_escaped(table.caption)}**", "", _line([table.corner, *titles])]
+    lines.append(_line(["---", *("---:" for _ in table.columns)]))
+    section = ""
+    for row in table.rows:
+        if row.section and row.section != section:
+            lines.append(_line([f"*{_escaped(row.section)}*", *("" for _ in table.columns)]))
+            section = row.section
+        lines.append(_line([_escaped(row.label), *_cells(row)]))
+    lines += ["", *(f"- {_escaped(note)}" for note in table.notes), ""]
+    return "\n".join(lines)
+
+
+def _cells(row: Row) -> list[str]:
+    return [_cell(cell) for cell in row.cells]
+
+
+def _cell(cell: Cell) -> str:
+    text = _escaped(cell.text)
+    return {BEST: f"**{text}**", SECOND: f"<u>{text}</u>"}.get(cell.mark, text)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _escaped(text: str) -> str:
+    """Text that cannot end a cell or start markup."""
+    for character in ("\\", "|", "*", "_", "<", "`"):
+        text = text.replace(character, "\\" + character)
+    return text.replace("\n", " ")
