@@ -1,0 +1,174 @@
+"""`head.npz`: a head model on disk without pickled objects (docs/capture-format.md)."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy import ndarray
+from torch import Tensor
+
+from ggavatar.errors import InputError
+from ggavatar.head.model import HeadModel
+
+MAX_BYTES = 2 << 30
+MAX_VERTICES = 2_000_000
+_REAL = ("template", "expression_basis", "pose_basis", "eyelid_basis", "joint_regressor", "skinning_weights")
+_REQUIRED = (*_REAL, "faces", "parents", "joint_names", "version")
+_REGION = "region/"
+
+
+def save_head(head: HeadModel, path: Path | str) -> None:
+    """Write a head as `head.npz`; the file appears whole or not at all."""
+    arrays: dict[str, ndarray] = {name: getattr(head, name).detach().cpu().numpy() for name in (*_REAL, "faces")}
+    arrays |= {"parents": np.asarray(head.parents, np.int64), "joint_names": np.asarray(head.joint_names), "version": np.asarray(head.version)}
+    arrays |= {_REGION + name: rows.cpu().numpy() for name, rows in head.regions.items()}
+    if head.uv is not None:
+        arrays["uv"] = head.uv.detach().cpu().numpy()
+    path = Path(path)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(buffer.getvalue())
+    os.replace(partial, path)
+
+
+def load_head(path: Path | str) -> HeadModel:
+    """Read `head.npz` (float32, CPU), checked key by key.
+
+    Raises:
+        InputError: The file is missing, not an npz, too large, or a key is missing, misshapen, out of range or not finite.
+    """
+    arrays = _read(Path(path))
+    check = _Checks(Path(path), arrays)
+    vertices = check.sizes()
+    real = {name: torch.from_numpy(check.real(name, vertices)) for name in _REAL}
+    joints = real["joint_regressor"].shape[0]
+    regions = {key.removeprefix(_REGION): torch.from_numpy(check.rows(key, vertices)) for key in arrays if key.startswith(_REGION)}
+    uv = torch.from_numpy(check.uv()) if "uv" in arrays else None
+    return HeadModel(
+        **real,
+        faces=torch.from_numpy(check.faces(vertices)),
+        parents=check.parents(joints),
+        joint_names=check.names(joints),
+        version=str(check.text("version", 0)),
+        regions=regions,
+        uv=uv,
+    )
+
+
+def _read(path: Path) -> dict[str, ndarray]:
+    """All arrays of the file, after a look at its declared sizes."""
+    if not path.is_file():
+        raise InputError(f"expected a head model file (head.npz), found {'a folder' if path.is_dir() else 'nothing'} at {path}")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            total = sum(entry.file_size for entry in archive.infolist())
+        if total > MAX_BYTES:
+            raise InputError(f"{path}: expected at most {MAX_BYTES >> 20} MiB of arrays, found {total >> 20} MiB declared; is this a head model?")
+        with np.load(path, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, ValueError, EOFError, KeyError, OSError) as error:
+        raise InputError(f"{path}: expected an npz of plain arrays, found something else ({error}); write it with save_head") from error
+
+
+class _Checks:
+    """Checks of single keys; every message names the file and the key."""
+
+    def __init__(self, path: Path, arrays: dict[str, ndarray]) -> None:
+        self._path, self._arrays = path, arrays
+        missing = [key for key in _REQUIRED if key not in arrays]
+        if missing:
+            raise InputError(f"{path}: expected the keys {', '.join(_REQUIRED)}; missing: {', '.join(missing)}")
+
+    def _require(self, condition: bool, key: str, expected: str) -> None:
+        if not condition:
+            value = self._arrays[key]
+            raise InputError(f"{self._path}: {key}: expected {expected}, found {value.dtype} {list(value.shape)}; write the file with save_head")
+
+    def sizes(self) -> int:
+        """Number of vertices."""
+        template = self._arrays["template"]
+        self._require(template.ndim == 2 and template.shape[1] == 3, "template", "shape [V, 3]")
+        self._require(0 < len(template) <= MAX_VERTICES, "template", f"1 to {MAX_VERTICES} vertices")
+        return len(template)
+
+    def real(self, key: str, vertices: int) -> Float[ndarray, "..."]:
+        """A floating-point array of the right shape, finite, as float32."""
+        value = self._arrays[key]
+        joints = self._arrays["joint_regressor"].shape[0]
+        shapes = {
+            "template": (vertices, 3),
+            "expression_basis": (vertices, 3, None),
+            "pose_basis": (vertices, 3, None),
+            "eyelid_basis": (vertices, 3, 2),
+            "joint_regressor": (joints, vertices),
+            "skinning_weights": (vertices, joints),
+        }
+        self._require(value.dtype.kind == "f", key, "floating point")
+        self._require(_fits(value.shape, shapes[key]), key, f"shape {_shown(shapes[key])}")
+        self._require(bool(np.isfinite(value).all()), key, "finite numbers only")
+        if key == "pose_basis":
+            self._require(value.shape[2] in (0, 9 * (joints - 1)), key, f"0 or {9 * (joints - 1)} pose correctives")
+        if key == "skinning_weights":
+            self._require(bool(np.abs(value.sum(axis=1) - 1).max() < 1e-3), key, "rows that sum to 1")
+        return np.ascontiguousarray(value, np.float32)
+
+    def rows(self, key: str, count: int) -> Int[ndarray, "..."]:
+        """Indices in [0, count)."""
+        value = self._arrays[key]
+        self._require(value.dtype.kind in "iu", key, "integers")
+        self._require(value.size == 0 or (int(value.min()) >= 0 and int(value.max()) < count), key, f"indices from 0 to {count - 1}")
+        if key.startswith(_REGION):
+            self._require(value.ndim == 1, key, "shape [R]")
+        return np.ascontiguousarray(value, np.int64)
+
+    def faces(self, vertices: int) -> Int[ndarray, "F 3"]:
+        """Triangles."""
+        value = self._arrays["faces"]
+        self._require(value.ndim == 2 and value.shape[1] == 3 and len(value) > 0, "faces", "shape [F, 3] with F > 0")
+        return self.rows("faces", vertices)
+
+    def parents(self, joints: int) -> tuple[int, ...]:
+        """Parents: −1 first, each before its children."""
+        value = self._arrays["parents"]
+        self._require(value.dtype.kind in "iu" and value.shape == (joints,) and joints > 0, "parents", f"{joints} integers")
+        parents = tuple(int(parent) for parent in value.astype(np.int64))
+        ordered = parents[0] == -1 and all(0 <= parent < index for index, parent in enumerate(parents) if index)
+        self._require(ordered, "parents", "−1 first and every parent before its children")
+        return parents
+
+    def names(self, joints: int) -> tuple[str, ...]:
+        """Distinct joint names."""
+        names = tuple(str(name) for name in self.text("joint_names", 1))
+        self._require(len(set(names)) == len(names) == joints, "joint_names", f"{joints} distinct names")
+        return names
+
+    def text(self, key: str, dimensions: int) -> ndarray:
+        """Unicode."""
+        value = self._arrays[key]
+        self._require(value.dtype.kind == "U" and value.ndim == dimensions, key, f"unicode with {dimensions} dimensions")
+        return value
+
+    def uv(self) -> Float[ndarray, "F 3 2"]:
+        """Texture coordinates, one per corner."""
+        value = self._arrays["uv"]
+        self._require(value.dtype.kind == "f", "uv", "floating point")
+        self._require(value.shape == (len(self._arrays["faces"]), 3, 2), "uv", "shape [F, 3, 2]")
+        self._require(bool(np.isfinite(value).all()), "uv", "finite numbers only")
+        return np.ascontiguousarray(value, np.float32)
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(wanted) and all(want is None or want == size for size, want in zip(shape, wanted, strict=True))
+
+
+def _shown(wanted: tuple[int | None, ...]) -> str:
+    return "[" + ", ".join("any" if size is None else str(size) for size in wanted) + "]"

@@ -1,0 +1,88 @@
+"""The demo folder: video, mattes, tracking, head and truth, with a list of what was written so that only that is ever replaced."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+
+import av
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from ggavatar.errors import InputError
+
+MANIFEST = "demo.json"
+
+
+class DemoFolder:
+    """Writes one demo; use as a context manager so that the video is finished."""
+
+    def __init__(self, folder: Path, size: int, fps: int) -> None:
+        self.folder = folder
+        for name in ("tracking", "masks"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        self._video = av.open(str(folder / "video.mp4"), "w", options={"movflags": "+faststart"})
+        self._stream = self._video.add_stream("libx264", rate=Fraction(fps))
+        self._stream.width = self._stream.height = size
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.thread_count = 1
+        self._stream.options = {"crf": "11", "preset": "medium", "x264-params": "colorprim=bt709:transfer=bt709:colormatrix=bt709"}
+        self._stream.codec_context.color_range = 1
+        self._stream.codec_context.colorspace = 1
+
+    def __enter__(self) -> DemoFolder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for packet in self._stream.encode():
+            self._video.mux(packet)
+        self._video.close()
+
+    def add(self, index: int, image: UInt8[ndarray, "H W 3"], alpha: Float[ndarray, "H W"]) -> None:
+        """Append one frame to the video and write its matte."""
+        frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame.pts = index
+        for packet in self._stream.encode(frame):
+            self._video.mux(packet)
+        path = self.mask(index)
+        if not cv2.imwrite(str(path), np.round(np.clip(alpha, 0, 1) * 255).astype(np.uint8)):
+            raise OSError(f"could not write {path}")
+
+    def mask(self, index: int) -> Path:
+        """Where a frame's matte is."""
+        return self.folder / "masks" / f"{index:05d}.png"
+
+    def tracking(self, index: int) -> Path:
+        """Where a frame's tracking is."""
+        return self.folder / "tracking" / f"{index:05d}.frame"
+
+
+def claim(folder: Path, *, overwrite: bool) -> None:
+    """Make sure that the folder may be written; with `overwrite`, take away the files of an earlier demo, and nothing else.
+
+    Raises:
+        InputError: The folder holds files and `overwrite` was not given, or it is not a folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"expected a folder for the demo, found a file at {folder}; choose another one with -o")
+    if not folder.exists() or not any(folder.iterdir()):
+        return
+    if not overwrite:
+        raise InputError(f"expected a new or empty folder, found files in {folder}; choose another one with -o or add --overwrite")
+    listed = folder / MANIFEST
+    names = json.loads(listed.read_text("utf-8")).get("files", []) if listed.is_file() else []
+    for name in names:
+        path = folder / name
+        if path.resolve().is_relative_to(folder.resolve()) and path.is_file():
+            path.unlink()
+
+
+def write_manifest(folder: Path, settings: dict, frames: int) -> None:
+    """List the files of this demo and the settings that made them."""
+    files = ["video.mp4", "head.npz", "truth.npz", "README.txt", MANIFEST]
+    files += [f"masks/{k:05d}.png" for k in range(frames)] + [f"tracking/{k:05d}.frame" for k in range(frames)]
+    (folder / MANIFEST).write_text(json.dumps({"settings": settings, "files": files}, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,27 @@
+"""The room in which the embedded subject sits: its camera."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+_EYE = np.array([0.0, -0.010, 0.980])
+_TARGET = np.array([0.0, -0.028, 0.0])
+_FOCAL = 1.95
+
+
+def intrinsics(size: int) -> Float[ndarray, "3 3"]:
+    """Intrinsics of a square image of `size` px."""
+    return np.array([[_FOCAL * size, 0.0, size / 2], [0.0, _FOCAL * size, size / 2], [0.0, 0.0, 1.0]])
+
+
+def room_to_camera() -> Float[ndarray, "4 4"]:
+    """The camera's fixed pose in the room, OpenCV axes."""
+    forward = (_TARGET - _EYE) / np.linalg.norm(_TARGET - _EYE)
+    right = np.cross(forward, (0.0, 1.0, 0.0))
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack((right, np.cross(forward, right), forward))
+    pose[:3, 3] = -pose[:3, :3] @ _EYE
+    return pose
