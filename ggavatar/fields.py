@@ -6,13 +6,20 @@ gradients are discontinuous, and they would fight the rate of the local position
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
+
+from ggavatar.acceleration import compiled_for
+
+if TYPE_CHECKING:
+    from ggavatar import triplane
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """The pairs of axes of the three planes: xy, xz, yz."""
@@ -123,7 +130,10 @@ class HashTriplane(nn.Module):
 
     def forward(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
         """Features at `x` (m), plane by plane, level by level; differentiable in the tables only."""
-        return lookup_in_torch(self.box.normalise(x.detach()), self.tables, self.levels)
+        unit = self.box.normalise(x.detach())
+        if self.config.features == 2 and compiled_for(unit, self.tables):
+            return cast(Tensor, _CompiledLookup.apply(unit, self.tables, self.levels))
+        return lookup_in_torch(unit, self.tables, self.levels)
 
 
 def lookup_in_torch(
@@ -150,6 +160,46 @@ def _corners(uv: Float[Tensor, "N 2"], level: Level) -> tuple[Int[Tensor, "N 4"]
     if level.hashed:
         return (vertex[..., 0] ^ (vertex[..., 1] * PRIME)) % level.size, weight
     return vertex[..., 0] + vertex[..., 1] * level.side, weight
+
+
+class _CompiledLookup(torch.autograd.Function):
+    """The compiled kernels of `ggavatar.triplane`."""
+
+    @staticmethod
+    def forward(ctx: Any, unit: Tensor, tables: Tensor, levels: tuple[Level, ...]) -> Tensor:
+        from ggavatar import triplane
+
+        # A position that is not a number must not become an index.
+        ctx.points = torch.nan_to_num(unit.T).contiguous().numpy()
+        ctx.layout = _layout(levels)
+        ctx.shape = tables.shape
+        features = torch.empty(len(unit), len(PLANES) * len(levels) * triplane.FEATURES)
+        triplane.look_up(ctx.points, tables.detach().contiguous().numpy(), ctx.layout, features.numpy())
+        return features
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[None, Tensor, None]:
+        from ggavatar import triplane
+
+        gradient = torch.zeros(ctx.shape)
+        triplane.spread(ctx.points, upstream.contiguous().numpy(), ctx.layout, gradient.numpy())
+        return None, gradient, None
+
+
+@functools.cache
+def _layout(levels: tuple[Level, ...]) -> triplane.Layout:
+    """The levels of all three planes as the kernels want them."""
+    from ggavatar import triplane
+
+    entries = sum(level.size for level in levels)
+    every = [(plane, level) for plane in range(len(PLANES)) for level in levels]
+    return triplane.Layout(
+        axes=np.array([PLANES[plane] for plane, _ in every], np.int64),
+        scale=np.array([level.scale for _, level in every], np.float32),
+        side=np.array([level.side for _, level in every], np.uint32),
+        mask=np.array([level.size - 1 if level.hashed else 0 for _, level in every], np.uint32),
+        first=np.array([plane * entries + level.offset for plane, level in every], np.uint32),
+    )
 
 
 class FourierFeatures(nn.Module):

@@ -1,0 +1,142 @@
+"""Look-up in a hash tri-plane and its gradient (compiled; twin: `fields.lookup_in_torch`).
+
+Features are read point by point, one table at a time, so that a table stays in the cache. The gradient is summed per table
+by one thread in the order of the points: no atomics, and the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ggavatar.compiled import inlined, kernel, run
+from ggavatar.pairs import add_to_pairs, blend_pairs
+
+PRIME = np.uint32(2654435761)
+CHUNK = 4096
+"""Points of a forward task."""
+BLOCK = 512
+"""Points that go through one table before the next table's turn; their features stay in the second-level cache."""
+GROUP = 2
+"""Tables of a backward task."""
+FEATURES = 2
+"""Features of an entry; tables with other numbers take the torch twin."""
+
+Floats = np.ndarray[Any, np.dtype[np.float32]]
+
+
+class Layout(NamedTuple):
+    """What the kernels know of the tables: one element a table."""
+
+    axes: np.ndarray[Any, np.dtype[np.int64]]
+    scale: Floats
+    side: np.ndarray[Any, np.dtype[np.uint32]]
+    mask: np.ndarray[Any, np.dtype[np.uint32]]
+    first: np.ndarray[Any, np.dtype[np.uint32]]
+
+
+@inlined
+def _locate(across, down, scale, side, mask, first, entries, weights):
+    """Entries of the four grid vertices around points in [0, 1]² and their bilinear weights; `mask` is 0 for dense tables."""
+    one, half, step = np.float32(1), np.float32(0.5), np.uint32(1)
+    for n in range(np.uint64(across.size)):
+        x, y = across[n] * scale + half, down[n] * scale + half
+        column, row = np.int32(x), np.int32(y)  # positions are not negative, so this is the floor
+        u, v = x - np.float32(column), y - np.float32(row)
+        weights[0, n] = (one - u) * (one - v)
+        weights[1, n] = u * (one - v)
+        weights[2, n] = (one - u) * v
+        weights[3, n] = u * v
+        left, top = np.uint32(column), np.uint32(row)
+        entries[0, n], entries[1, n] = left, top
+    if mask:
+        for n in range(np.uint64(across.size)):
+            left, top = entries[0, n], entries[1, n] * PRIME
+            entries[0, n] = first + ((left ^ top) & mask)
+            entries[1, n] = first + (((left + step) ^ top) & mask)
+            entries[2, n] = first + ((left ^ (top + PRIME)) & mask)
+            entries[3, n] = first + (((left + step) ^ (top + PRIME)) & mask)
+    else:
+        for n in range(np.uint64(across.size)):
+            base = first + entries[0, n] + entries[1, n] * side
+            entries[0, n] = base
+            entries[1, n] = base + step
+            entries[2, n] = base + side
+            entries[3, n] = base + side + step
+
+
+@inlined
+def _place(points, layout, table, begin, end, entries, weights):
+    axes = layout.axes[table]
+    across, down = points[axes[0], begin:end], points[axes[1], begin:end]
+    _locate(
+        across, down, layout.scale[table], layout.side[table], layout.mask[table], layout.first[table], entries, weights
+    )
+
+
+@kernel
+def look_up_range(points, tables, layout, first, last, features):
+    """Fill rows `first` … `last` − 1 of `features`; `points` [3, N] are in [0, 1]."""
+    entries, weights = np.empty((4, BLOCK), np.int32), np.empty((4, BLOCK), np.float32)
+    for begin in range(first, last, BLOCK):
+        end = min(begin + BLOCK, last)
+        for table in range(layout.scale.size):
+            _place(points, layout, table, begin, end, entries, weights)
+            _gather(tables, entries, weights, features, begin * features.shape[1] + FEATURES * table, end - begin)
+
+
+@inlined
+def _corners(entries, weights, n):
+    """Flat indices and weights of the four entries of point `n` of a block."""
+    two = np.int64(FEATURES)
+    flat = (two * entries[0, n], two * entries[1, n], two * entries[2, n], two * entries[3, n])
+    return flat, (weights[0, n], weights[1, n], weights[2, n], weights[3, n])
+
+
+@inlined
+def _gather(tables, entries, weights, out, at, count):
+    for n in range(count):
+        flat, shares = _corners(entries, weights, n)
+        blend_pairs(tables, flat, shares, out, at + n * np.int64(out.shape[1]))
+
+
+@kernel
+def spread_into_tables(points, upstream, layout, first, last, gradient):
+    """Add the gradient of the features of tables `first` … `last` − 1 to their entries."""
+    entries, weights = np.empty((4, BLOCK), np.int32), np.empty((4, BLOCK), np.float32)
+    count = points.shape[1]
+    for begin in range(0, count, BLOCK):
+        end = min(begin + BLOCK, count)
+        for table in range(first, last):
+            _place(points, layout, table, begin, end, entries, weights)
+            _scatter(gradient, entries, weights, upstream, begin * upstream.shape[1] + FEATURES * table, end - begin)
+
+
+@inlined
+def _scatter(gradient, entries, weights, upstream, at, count):
+    for n in range(count):
+        flat, shares = _corners(entries, weights, n)
+        add_to_pairs(gradient, flat, shares, upstream, at + n * np.int64(upstream.shape[1]))
+
+
+def look_up(points: Floats, tables: Floats, layout: Layout, features: Floats) -> None:
+    """Fill in the features of all points."""
+    count = points.shape[1]
+    starts = range(0, count, CHUNK)
+
+    def task(index: int) -> None:
+        look_up_range(points, tables, layout, starts[index], min(starts[index] + CHUNK, count), features)
+
+    run(task, len(starts))
+
+
+def spread(points: Floats, upstream: Floats, layout: Layout, gradient: Floats) -> None:
+    """Add the gradient of all features to `gradient`, which begins as zeros."""
+    count = len(layout.scale)
+    starts = range(0, count, GROUP)
+
+    def task(index: int) -> None:
+        spread_into_tables(points, upstream, layout, starts[index], min(starts[index] + GROUP, count), gradient)
+
+    run(task, len(starts))
