@@ -31,8 +31,8 @@ def load_flame(
     """Read a FLAME file and fold an identity into its template.
 
     Args:
-        path: `generic_model.pkl`, `flame2023.pkl` or an npz with the same keys. `l_eyelid.npy` and `r_eyelid.npy` (metrical-tracker)
-            are used if they lie beside it; `FLAME_masks.pkl` gives the regions.
+        path: `generic_model.pkl`, `flame2023.pkl` or an npz with the same keys. Beside it, `l_eyelid.npy` and
+            `r_eyelid.npy` (metrical-tracker) give the lids and `FLAME_masks.pkl` the regions.
         shape: Identity coefficients, at most as many as the file has; None is the mean face.
         version: Tag of the parameter space; None derives it from the file's name.
         expressions: How many expression coefficients to keep.
@@ -96,9 +96,14 @@ def _check(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Shapes that fit together, finite numbers, faces and parents in range."""
     vertices, joints = len(arrays["v_template"]), len(JOINT_NAMES)
     wanted: dict[str, tuple[int | None, ...]] = {
-        "v_template": (vertices, 3), "f": (None, 3), "weights": (vertices, joints), "posedirs": (vertices, 3, 9 * (joints - 1)),
-        "shapedirs": (vertices, 3, None), "J_regressor": (joints, vertices), "kintree_table": (2, joints),
-    }  # fmt: skip
+        "v_template": (vertices, 3),
+        "f": (None, 3),
+        "weights": (vertices, joints),
+        "posedirs": (vertices, 3, 9 * (joints - 1)),
+        "shapedirs": (vertices, 3, None),
+        "J_regressor": (joints, vertices),
+        "kintree_table": (2, joints),
+    }
     for key, shape in wanted.items():
         array = arrays[key]
         fits = array.ndim == len(shape) and all(

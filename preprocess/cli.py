@@ -1,0 +1,47 @@
+"""`ggavatar-prep`: from a portrait video to a capture.
+
+Nothing heavy is imported before the arguments are understood.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+from ggavatar.errors import run_command
+from preprocess.options import PrepOptions
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    import tyro
+
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if "--version" in given:
+        sys.stdout.write(f"ggavatar-prep {version('ggavatar')}\n")
+        return 0
+    options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
+    return run_command(lambda: _prepare(options))
+
+
+def _description() -> str:
+    """What the help page says first."""
+    from preprocess.importing import importer_names
+
+    return (
+        "Make a capture from a portrait video: frames, crop, masks, tracking, and a check of all of it.\n\n"
+        f"Formats of --tracking: {', '.join(importer_names())}.\n"
+        "Example: ggavatar-prep video.mp4 -o alice"
+    )
+
+
+def _prepare(options: PrepOptions) -> int:
+    """Run the pipeline and say what was written."""
+    from preprocess.pipeline import run_pipeline
+    from preprocess.terminal import Terminal
+
+    terminal = Terminal(options.verbosity)
+    results = run_pipeline(options, terminal.stage)
+    terminal.summary(options, results)
+    return 0

@@ -1,0 +1,120 @@
+"""Second stage: choose one crop for the whole clip and write the images at their final size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ggavatar.errors import InputError
+from ggavatar.pictures import write_png
+from preprocess.crop import Crop, explicit, square, square_around, whole_frame
+from preprocess.frames import open_source
+from preprocess.importing import read_foreign
+from preprocess.options import PrepOptions
+from preprocess.read_stage import selection_of
+from preprocess.record import ForeignTracking
+from preprocess.stage import Job, Stage, file_state
+
+HEAD_POINTS = np.array([[x, y, z] for x in (-0.09, 0.09) for y in (-0.12, 0.14) for z in (-0.12, 0.08)])
+"""Corners of a box around an adult's head in FLAME's frame, m."""
+
+
+def inputs(options: PrepOptions) -> Mapping[str, Any]:
+    """Size, crop and the tracking that the crop must respect."""
+    if not 64 <= options.size <= 4096:
+        raise InputError(f"--size: expected 64 to 4096 px, found {options.size}")
+    return {
+        "size": options.size,
+        "crop": options.crop,
+        "tracking": file_state(options.tracking),
+        "format": options.format,
+    }
+
+
+def run(job: Job) -> Mapping[str, Any]:
+    """Decode again, crop, resample and write `images/%06d.png`; files of an interrupted run are kept."""
+    options, source = job.options, job.results["frames"]
+    crop = choose_crop(job)
+    folder = job.folder / "images"
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = list(source["numbers"])
+    wanted = selection_of(options).keep(open_source(options.input, options.fps).frames())
+    done = 0
+    for frame in wanted:
+        path = folder / f"{frame.number:06d}.png"
+        if not path.exists():
+            write_png(path, crop.image(frame.image))
+        done += 1
+        job.reporter.advance(done, len(numbers))
+    if done != len(numbers):
+        raise InputError(
+            f"{options.input}: {len(numbers)} frames at first, {done} now; the file has changed while it was read"
+        )
+    return {"crop": crop.json()}
+
+
+def choose_crop(job: Job) -> Crop:
+    """The crop as asked for, or one that suits the imported tracking or the faces that were found."""
+    options, source = job.options, job.results["frames"]
+    width, height = source["width"], source["height"]
+    if options.crop == "none":
+        return whole_frame(width, height, options.size)
+    if options.crop != "auto":
+        return explicit(options.crop, width, height, options.size)
+    if options.tracking is not None:
+        return _crop_for_tracking(read_foreign(options.tracking, options.format), width, height, options.size)
+    return _crop_for_faces(job, width, height)
+
+
+def _crop_for_faces(job: Job, width: int, height: int) -> Crop:
+    """A square around the detected faces."""
+    source, size = job.results["frames"], job.options.size
+    faces = np.array(source["faces"]).reshape(-1, 4)
+    if not len(faces):
+        raise InputError(f"{job.options.input}: no face found; choose the crop by hand with --crop X,Y,WIDTH,HEIGHT")
+    # The detector's box spans brows to chin; a head with hair is about 1.9 times as tall.
+    centers, sides = (faces[:, :2] + faces[:, 2:]) / 2, faces[:, 2:] - faces[:, :2]
+    heads = np.concatenate((centers - sides * [0.8, 1.1], centers + sides * [0.8, 0.8]), axis=1)
+    crop = square_around(heads, width, height, size)
+    if width == height and crop.width > 0.8 * width:
+        return whole_frame(width, height, size)
+    return crop
+
+
+def tracked_size_fits(record: ForeignTracking, width: int, height: int) -> bool:
+    """Whether the tracker saw the whole frame, maybe resampled."""
+    return abs(record.width * height - record.height * width) <= 0.01 * record.width * height
+
+
+def _crop_for_tracking(record: ForeignTracking, width: int, height: int, size: int) -> Crop:
+    """The whole frame if it is square, else a square around the tracked heads."""
+    if not tracked_size_fits(record, width, height):
+        raise InputError(
+            f"the tracking was made on {record.width}×{record.height} px images, the video has {width}×{height} "
+            "px: the tracker cropped it. "
+            "Give the tracker's own images as INPUT (metrical-tracker: the folder `input` beside `checkpoint`)"
+        )
+    if width == height:
+        return whole_frame(width, height, size)
+    factor = np.array([width / record.width, height / record.height])
+    seen = (
+        np.einsum("tij,nj->tni", record.world_to_camera[:, :3, :3], HEAD_POINTS)
+        + record.world_to_camera[:, None, :3, 3]
+    )
+    seen = seen + np.einsum("tij,tj->ti", record.world_to_camera[:, :3, :3], record.translation)[:, None]
+    pixels = np.einsum("tij,tnj->tni", record.intrinsics, seen)
+    pixels = pixels[..., :2] / np.maximum(pixels[..., 2:], 1e-3) * factor
+    boxes = np.concatenate((pixels.min(axis=1), pixels.max(axis=1)), axis=1)
+    if (
+        not np.isfinite(boxes).all()
+        or (boxes[:, 2:] < 0).all()
+        or (boxes[:, 0] > width).all()
+        or (boxes[:, 1] > height).all()
+    ):
+        return square((width / 2, height / 2), min(width, height), width, height, size)
+    return square_around(boxes, width, height, size)
+
+
+STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",))

@@ -1,0 +1,110 @@
+"""Third stage: a soft foreground mask for every image, from the user's files or from a network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggavatar.errors import GateError, InputError
+from ggavatar.pictures import picture_header, read_grey, read_rgb, write_png
+from preprocess.crop import Crop, crop_from_json
+from preprocess.frames import numbered_pictures
+from preprocess.options import PrepOptions
+from preprocess.stage import Job, Stage, file_state
+
+KINDS = ("auto", "selfie", "grabcut")
+NETWORK_FILES = frozenset({".onnx", ".torchscript", ".pt", ".pth"})
+
+
+def inputs(options: PrepOptions) -> Mapping[str, Any]:
+    """The kind of masks, or the files they come from."""
+    return {"masks": options.masks if options.masks in KINDS else file_state(Path(options.masks))}
+
+
+def run(job: Job) -> Mapping[str, Any]:
+    """Write `masks/%06d.png` for every image; the result lists the frames that have one."""
+    (job.folder / "masks").mkdir(parents=True, exist_ok=True)
+    wanted = job.options.masks
+    if wanted not in KINDS and Path(wanted).is_dir():
+        return _own_masks(job, Path(wanted))
+    return _computed_masks(job, wanted)
+
+
+def _own_masks(job: Job, folder: Path) -> Mapping[str, Any]:
+    """Masks the user has, paired by number."""
+    from preprocess.mask_pairing import find_mask_offset
+
+    numbers, files = list(job.results["frames"]["numbers"]), numbered_pictures(folder)
+    if not files:
+        raise InputError(f"{folder}: no PNG or JPEG masks in this folder")
+    crop, size = crop_from_json(dict(job.results["crop"]["crop"])), _source_size(job)
+
+    def image(number: int) -> np.ndarray:
+        return read_rgb(job.folder / "images" / f"{number:06d}.png")
+
+    offset = find_mask_offset(numbers, files, image, lambda path: fitted_mask(path, crop, size))
+    kept = [number for number in numbers if number + offset in files]
+    for done, number in enumerate(kept, start=1):
+        target = job.folder / "masks" / f"{number:06d}.png"
+        if not target.exists():
+            write_png(target, fitted_mask(files[number + offset], crop, size))
+        job.reporter.advance(done, len(kept))
+    _report_missing(job, folder, len(numbers), len(kept), offset)
+    return {"numbers": kept, "kind": "files", "offset": offset, "name": folder.name}
+
+
+def _report_missing(job: Job, folder: Path, wanted: int, found: int, offset: int) -> None:
+    """Say what is missing; too much of it is an error."""
+    if offset:
+        job.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, as the pictures' edges show")
+    if found == wanted:
+        return
+    message = f"{folder}: {wanted - found} of {wanted} frames have no mask"
+    if found < 2 or found < wanted // 2:
+        raise InputError(f"{message}; expected one PNG or JPEG a frame with its number in the name")
+    if job.options.strict:
+        raise GateError(f"{message} (--strict)")
+    job.reporter.warn(f"{message} and are left out")
+
+
+def fitted_mask(path: Path, crop: Crop, source_size: tuple[int, int]) -> np.ndarray:
+    """A mask as part of the capture.
+
+    Cropped like the images if it has the source's size, taken as it is if it has the capture's.
+    """
+    header = picture_header(path)
+    found = (header.width, header.height)
+    if found == source_size:
+        return crop.image(read_grey(path))
+    if found == (crop.out_width, crop.out_height):
+        return read_grey(path)
+    raise InputError(
+        f"{path}: expected {source_size[0]}×{source_size[1]} px like the video or "
+        f"{crop.out_width}×{crop.out_height} px like the capture, "
+        f"found {found[0]}×{found[1]}"
+    )
+
+
+def _source_size(job: Job) -> tuple[int, int]:
+    return int(job.results["frames"]["width"]), int(job.results["frames"]["height"])
+
+
+def _computed_masks(job: Job, wanted: str) -> Mapping[str, Any]:
+    """Masks from a network or from GrabCut, one frame after the other."""
+    from preprocess.masks import open_matting
+
+    numbers = list(job.results["frames"]["numbers"])
+    matting = open_matting(wanted, job.options.models, job.options.offline)
+    for warning in matting.warnings:
+        job.reporter.warn(warning)
+    for done, number in enumerate(numbers, start=1):
+        mask = matting.mask(read_rgb(job.folder / "images" / f"{number:06d}.png"))
+        write_png(job.folder / "masks" / f"{number:06d}.png", mask)
+        job.reporter.advance(done, len(numbers))
+    return {"numbers": numbers, "kind": matting.name, "offset": 0, "name": matting.name}
+
+
+STAGE = Stage("masks", "Masks", inputs, run, outputs=("masks",))

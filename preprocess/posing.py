@@ -1,0 +1,89 @@
+"""The tracked head as pixels: posed vertices, their projection and the silhouette they fill."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from ggavatar.capture import Tracking
+from ggavatar.core import Drive
+from ggavatar.head.model import HeadModel
+
+_SUBPIXEL_BITS = 4
+
+
+def drive_of(tracking: Tracking, row: int) -> Drive:
+    """The drive of one row of a tracking."""
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+
+    return Drive(
+        expression=tensor(tracking.expression[row]),
+        joint_rotations=tensor(tracking.joint_rotations[row]),
+        eyelids=tensor(tracking.eyelids[row]),
+        translation=tensor(tracking.translation[row]),
+        head_to_camera=tensor(tracking.world_to_camera[row]),
+    )
+
+
+def posed_vertices(head: HeadModel, tracking: Tracking, row: int) -> Float[np.ndarray, "V 3"]:
+    """World positions of the head's vertices in one frame, m."""
+    with torch.no_grad():
+        return head.vertices(drive_of(tracking, row)).numpy().astype(np.float64)
+
+
+def project(
+    points: Float[np.ndarray, "N 3"], intrinsics: Float[np.ndarray, "3 3"], world_to_camera: Float[np.ndarray, "4 4"]
+) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"]]:
+    """Pixel positions and camera depths (m) of world points; points behind the camera get meaningless pixels."""
+    seen = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    depth = seen[:, 2]
+    image = seen @ intrinsics.T
+    return image[:, :2] / np.where(np.abs(depth) > 1e-6, depth, 1e-6)[:, None], depth
+
+
+def silhouette(
+    pixels: Float[np.ndarray, "V 2"],
+    depth: Float[np.ndarray, " V"],
+    faces: Int[np.ndarray, "F 3"],
+    size: tuple[int, int],
+) -> Bool[np.ndarray, "H W"]:
+    """Pixels covered by a projected mesh.
+
+    Args:
+        pixels: Projected vertices, px.
+        depth: Their camera depths; faces that reach behind the camera are left out.
+        faces: Vertex indices.
+        size: Width and height of the picture, px.
+    """
+    width, height = size
+    picture = np.zeros((height, width), np.uint8)
+    corners = pixels[faces]
+    margin = 4 * max(width, height)
+    kept = (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < margin).all(axis=(1, 2))
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    kept &= (high > 0).all(axis=1) & (low < [width, height]).all(axis=1)
+    # OpenCV counts from pixel centres, we count from the image's corner.
+    fixed = np.round((corners[kept] - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+    for triangle in fixed:
+        cv2.fillConvexPoly(picture, triangle, 255, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+    return picture > 0
+
+
+def tracked_silhouette(
+    head: HeadModel, tracking: Tracking, row: int, size: tuple[int, int], scale: float
+) -> Bool[np.ndarray, "H W"]:
+    """Silhouette of one frame's mesh in a picture of `size` px that is `scale` times the capture's."""
+    pixels, depth = project(
+        posed_vertices(head, tracking, row), tracking.intrinsics[row], tracking.world_to_camera[row]
+    )
+    return silhouette(pixels * scale, depth, head.faces.numpy(), size)
+
+
+def overlap(left: Bool[np.ndarray, "H W"], right: Bool[np.ndarray, "H W"]) -> float:
+    """Intersection over union; 0 if both are empty."""
+    union = np.count_nonzero(left | right)
+    return np.count_nonzero(left & right) / union if union else 0.0

@@ -1,0 +1,110 @@
+"""First stage: go through the video once, note every frame with its time, and look where the face is."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggavatar.errors import GateError, InputError
+from preprocess.frames import DecodedFrame, Selection, open_source, parse_selection
+from preprocess.options import PrepOptions
+from preprocess.stage import Job, Stage, file_state
+
+SECONDS_BETWEEN_FACES = 0.5
+
+
+def inputs(options: PrepOptions) -> Mapping[str, Any]:
+    """The source and the selection, and whether faces are wanted."""
+    selection = (options.fps, options.start, options.end, options.frames)
+    return {"input": file_state(options.input), "selection": selection, "faces": needs_faces(options)}
+
+
+def needs_faces(options: PrepOptions) -> bool:
+    """Whether the crop follows the face detector; with imported tracking it follows that."""
+    return options.tracking is None and options.crop == "auto"
+
+
+def selection_of(options: PrepOptions) -> Selection:
+    """The frames the options ask for; a folder of pictures has no rate of its own to thin out."""
+    fps = None if options.input.is_dir() else options.fps
+    return parse_selection(fps, options.start, options.end, options.frames)
+
+
+def run(job: Job) -> Mapping[str, Any]:
+    """Numbers, times and size of the frames; the source's name and SHA-256; face boxes every half second."""
+    options = job.options
+    source, selection = open_source(options.input, options.fps), selection_of(options)
+    detect = _face_finder(options) if needs_faces(options) else None
+    numbers: list[int] = []
+    times: list[float] = []
+    faces: list[np.ndarray | None] = []
+    size = (0, 0)
+    for frame in selection.keep(source.frames()):
+        if detect is not None and frame.time >= len(faces) * SECONDS_BETWEEN_FACES:
+            faces.append(detect(frame))
+        numbers.append(frame.number)
+        times.append(frame.time)
+        size = (frame.width, frame.height)
+        job.reporter.advance(len(numbers), None)
+    _check_count(options, len(numbers))
+    for loss in source.losses():
+        if options.strict:
+            raise GateError(f"{options.input}: {loss} (--strict)")
+        job.reporter.warn(f"{options.input}: {loss}; the frames before are kept")
+    return {
+        "name": options.input.name,
+        "sha256": _digest(options.input),
+        "width": size[0],
+        "height": size[1],
+        "fps": (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 25.0,
+        "numbers": numbers,
+        "faces": [list(map(float, face)) for face in faces if face is not None],
+        "faces_looked_for": len(faces),
+        "losses": source.losses(),
+    }
+
+
+def _check_count(options: PrepOptions, count: int) -> None:
+    """A clip needs frames to train on and frames to test on."""
+    if count == 0:
+        raise InputError(f"{options.input}: no frame could be decoded or none lies within --start, --end and --frames")
+    if count == 1:
+        raise InputError(
+            f"{options.input}: only one frame; an avatar needs a video, some hundred frames of a moving face"
+        )
+
+
+def _face_finder(options: PrepOptions) -> Any:
+    """A function that gives the face box (left, top, right, bottom; px) of a frame, or None."""
+    from preprocess.detector import FaceDetector
+    from preprocess.models import resolve
+
+    detector = FaceDetector(resolve("face_landmarker", options.models, options.offline))
+
+    def find(frame: DecodedFrame) -> np.ndarray | None:
+        face = detector.detect(frame.image)
+        if face is None:
+            return None
+        center, half = np.array(face.center), face.side / 2
+        return np.concatenate((center - half, center + half))
+
+    return find
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file, or of the names and contents of a folder's files."""
+    if path.is_file():
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    total = hashlib.sha256()
+    for entry in sorted(path.iterdir()):
+        if entry.is_file():
+            total.update(entry.name.encode() + b"\0" + entry.read_bytes())
+    return total.hexdigest()
+
+
+STAGE = Stage("frames", "Reading the video", inputs, run)

@@ -1,0 +1,119 @@
+"""A stage of the pipeline, the record it leaves in the output folder, and when it may be skipped."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from ggavatar.arrays import write_atomically
+from ggavatar.capture_checks import read_json
+from ggavatar.errors import InputError
+from preprocess.options import PrepOptions
+
+RECORDS = ".prep"
+"""Subfolder of a capture that holds the records of the stages; it also marks the folder as made by ggavatar-prep."""
+
+
+@runtime_checkable
+class Reporter(Protocol):
+    """Where a stage says what it is doing."""
+
+    def advance(self, done: int, total: int | None) -> None:
+        """So many of so many steps are done; None if nobody knows."""
+        ...
+
+    def warn(self, message: str) -> None:
+        """Something the user should know; it is repeated in the summary."""
+        ...
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a stage works with.
+
+    Attributes:
+        options: What the user asked for.
+        folder: The capture folder being made.
+        results: Results of the stages before, by name.
+        reporter: Where to tell about progress.
+    """
+
+    options: PrepOptions
+    folder: Path
+    results: Mapping[str, Mapping[str, Any]]
+    reporter: Reporter
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step from video to capture.
+
+    Attributes:
+        name: In records and messages.
+        title: For the progress line.
+        inputs: What, beside the stages before, decides the outcome; plain JSON values.
+        run: Does the work and returns its result, plain JSON values.
+        outputs: What it writes into the capture folder, removed before it runs anew.
+    """
+
+    name: str
+    title: str
+    inputs: Callable[[PrepOptions], Mapping[str, Any]]
+    run: Callable[[Job], Mapping[str, Any]]
+    outputs: tuple[str, ...] = ()
+
+
+def fingerprint(stage: Stage, options: PrepOptions, before: str) -> str:
+    """SHA-256 of everything that decides a stage's outcome, the stages before included."""
+    text = json.dumps([stage.name, before, stage.inputs(options)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def file_state(path: Path | None) -> Any:
+    """What tells whether a file or folder has changed: names, sizes and times of modification."""
+    if path is None:
+        return None
+    try:
+        if path.is_dir():
+            inside = sorted(entry for entry in path.iterdir() if entry.is_file())
+            return [str(path), *([entry.name, entry.stat().st_size, entry.stat().st_mtime_ns] for entry in inside)]
+        state = path.stat()
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file or folder") from error
+    return [str(path), state.st_size, state.st_mtime_ns]
+
+
+def _record_path(folder: Path, stage: Stage) -> Path:
+    return folder / RECORDS / f"{stage.name}.json"
+
+
+def finished_result(folder: Path, stage: Stage, wanted: str) -> Mapping[str, Any] | None:
+    """The result of a stage if it ran to its end with the wanted fingerprint and its outputs are still there."""
+    record = _read_record(folder, stage)
+    if record.get("fingerprint") != wanted or "result" not in record:
+        return None
+    if not all((folder / name).exists() for name in stage.outputs):
+        return None
+    return record["result"]
+
+
+def was_interrupted(folder: Path, stage: Stage, wanted: str) -> bool:
+    """Whether a stage began with this fingerprint and did not end, so that its complete files may be kept."""
+    record = _read_record(folder, stage)
+    return record.get("fingerprint") == wanted and "result" not in record
+
+
+def _read_record(folder: Path, stage: Stage) -> Mapping[str, Any]:
+    path = _record_path(folder, stage)
+    return read_json(path) if path.exists() else {}
+
+
+def write_record(folder: Path, stage: Stage, wanted: str, result: Mapping[str, Any] | None) -> None:
+    """Note that a stage has begun (no result) or ended."""
+    record = {"fingerprint": wanted} | ({} if result is None else {"result": dict(result)})
+    text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
+    write_atomically(_record_path(folder, stage), lambda stream: stream.write(text.encode()))

@@ -1,0 +1,70 @@
+"""What `ggavatar-prep` says while it works: one live line a stage on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from preprocess.options import PrepOptions
+from preprocess.stage import Stage
+
+
+class Terminal:
+    """Progress and warnings go to stderr, the summary to stdout."""
+
+    def __init__(self, verbosity: str) -> None:
+        self._quiet = verbosity == "quiet"
+        self._errors = Console(stderr=True, highlight=False, soft_wrap=True)
+        self._output = Console(highlight=False, soft_wrap=True)
+        self._warnings: list[str] = []
+
+    @contextmanager
+    def stage(self, stage: Stage, skipped: bool) -> Iterator[_StageLine]:
+        """The line of one stage."""
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(
+            *columns, console=self._errors, transient=True, disable=self._quiet or not self._errors.is_terminal
+        ) as progress:
+            line = _StageLine(progress, stage.title, self._warnings)
+            began = time.monotonic()
+            yield line
+        if not self._quiet:
+            done = "unchanged" if skipped else f"{line.done or ''} {time.monotonic() - began:.1f} s".strip()
+            self._errors.print(f"{stage.title}: {done}", markup=False)
+
+    def summary(self, options: PrepOptions, results: Mapping[str, Mapping[str, Any]]) -> None:
+        """What was written, what was lost on the way, and the next command."""
+        for warning in self._warnings:
+            self._errors.print(f"warning: {warning}", markup=False)
+        if self._quiet:
+            return
+        packed, folder = results["pack"], options.output_dir
+        lost = f", {packed['dropped']} left out" if packed["dropped"] else ""
+        self._output.print(f"capture with {packed['frames']} frames{lost}: {folder}", markup=False)
+        self._output.print(
+            f"next: ggavatar-train {shlex.quote(str(folder))} -o runs/{shlex.quote(folder.name)}", markup=False
+        )
+
+
+class _StageLine:
+    """The reporter of one stage."""
+
+    def __init__(self, progress: Progress, title: str, warnings: list[str]) -> None:
+        self._progress, self._warnings = progress, warnings
+        self._task = progress.add_task(title, total=None)
+        self.done = 0
+
+    def advance(self, done: int, total: int | None) -> None:
+        """Show that so many steps are done."""
+        self.done = max(self.done, done)
+        self._progress.update(self._task, completed=done, total=total)
+
+    def warn(self, message: str) -> None:
+        """Keep a warning for the summary."""
+        self._warnings.append(message)

@@ -1,0 +1,166 @@
+"""Exact, streaming video decoding with PyAV: every frame the file presents, upright, in order, with its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from ggavatar.errors import InputError
+from ggavatar.pictures import MAX_PIXELS
+from preprocess.frames import DecodedFrame
+
+# Containers only: playlists and concatenation scripts could make the decoder open other files or addresses.
+_CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,flv,ogg,asf,mxf,gif,ivf,h264,hevc,m4v,nut"
+
+
+class Video:
+    """One video file. The file is opened by us, so no protocol but plain reading is ever used."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._losses: list[str] = []
+        with path.open("rb") as file, self._container(file) as container:
+            self._stream(container)
+
+    def _container(self, file: Any) -> Any:
+        try:
+            return av.open(file, options={"format_whitelist": _CONTAINERS})
+        except (av.error.FFmpegError, ValueError, OSError) as error:
+            raise InputError(
+                f"{self.path}: not a video that can be decoded, or cut off before its index ({_words(error)}); "
+                "copy it again or convert it with ffmpeg"
+            ) from error
+
+    def _stream(self, container: Any) -> Any:
+        """The first real video stream (cover pictures do not count), after checking its size."""
+        streams = [stream for stream in container.streams.video if not _is_cover(stream)]
+        if not streams:
+            kinds = sorted({stream.type for stream in container.streams}) or ["nothing"]
+            raise InputError(
+                f"{self.path}: no video in this file, only {', '.join(kinds)}; give a file with pictures in it"
+            )
+        context = streams[0].codec_context
+        if context is None:
+            raise InputError(f"{self.path}: its codec is not known here; convert it with ffmpeg to H.264")
+        if context.width * context.height > MAX_PIXELS:
+            raise InputError(
+                f"{self.path}: {context.width}×{context.height} px; up to {MAX_PIXELS >> 20} megapixels are decoded"
+            )
+        return streams[0]
+
+    def frames(self) -> Iterator[DecodedFrame]:
+        """Decode from the first frame. Damaged parts are skipped and counted (`losses`)."""
+        self._losses = []
+        with self.path.open("rb") as file, self._container(file) as container:
+            stream = self._stream(container)
+            stream.thread_type = "AUTO"
+            number, zero, size, last = 0, None, None, 0.0
+            for frame in _deinterlaced(stream, self._decoded(container, stream)):
+                seconds = frame.time if frame.time is not None else number / float(stream.average_rate or 25)
+                zero = seconds if zero is None else zero
+                width, height = _upright_size(frame)
+                size = size or (width, height)
+                if (width, height) != size:
+                    raise InputError(
+                        f"{self.path}: frame {number} changes its size to {width}×{height} px; cut the video there"
+                    )
+                last = seconds
+                yield DecodedFrame(number, seconds - zero, width, height, partial(_upright, frame))
+                number += 1
+            self._compare_length(stream, number, last)
+
+    def _decoded(self, container: Any, stream: Any) -> Iterator[Any]:
+        """Frames of all packets; a damaged packet loses its frame only."""
+        damaged = 0
+        packets = container.demux(stream)
+        while True:
+            try:
+                packet = next(packets)
+            except StopIteration:
+                break
+            except (av.error.FFmpegError, ValueError) as error:
+                self._losses.append(f"reading stopped early: {_words(error)}")
+                break
+            try:
+                yield from packet.decode()
+            except (av.error.FFmpegError, ValueError):
+                damaged += 1
+        if damaged:
+            self._losses.append(f"{damaged} damaged packets were skipped")
+
+    def _compare_length(self, stream: Any, count: int, last: float) -> None:
+        """Note when the stream is shorter than it says; a count alone proves nothing, edit lists make it lie."""
+        if not stream.duration or not stream.time_base or count == 0:
+            return
+        start = float((stream.start_time or 0) * stream.time_base)
+        stated, step = float(stream.duration * stream.time_base), 1 / float(stream.average_rate or 25)
+        missing = start + stated - (last + step)
+        if missing > max(0.5, 2.5 * step):
+            self._losses.append(
+                f"the file says {stated:.1f} s, but it ends {missing:.1f} s earlier after {count} frames; it is "
+                "probably cut off"
+            )
+
+    def losses(self) -> list[str]:
+        """What could not be decoded, in words; complete once `frames` has ended."""
+        return list(self._losses)
+
+
+def _is_cover(stream: Any) -> bool:
+    """Whether a stream is a single attached picture."""
+    return bool(stream.disposition & av.stream.Disposition.attached_pic)
+
+
+def _upright(frame: Any) -> np.ndarray:
+    """8-bit RGB, turned as the container's metadata asks."""
+    image = frame.to_ndarray(format="rgb24")
+    return np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90) % 4))
+
+
+def _upright_size(frame: Any) -> tuple[int, int]:
+    """Width and height after turning."""
+    turned = round(frame.rotation / 90) % 2
+    return (frame.height, frame.width) if turned else (frame.width, frame.height)
+
+
+def _deinterlaced(stream: Any, frames: Iterator[Any]) -> Iterator[Any]:
+    """Frames with both fields of the same moment; progressive frames pass untouched."""
+    graph = None
+    for frame in frames:
+        if graph is None and not frame.interlaced_frame:
+            yield frame
+            continue
+        graph = graph or _field_filter(stream)
+        graph.push(frame)
+        yield from _pulled(graph)
+    if graph is not None:
+        graph.push(None)
+        yield from _pulled(graph)
+
+
+def _field_filter(stream: Any) -> Any:
+    """One picture out for each picture in; only frames marked as interlaced are changed."""
+    graph = av.filter.Graph()
+    graph.link_nodes(
+        graph.add_buffer(template=stream),
+        graph.add("bwdif", "mode=send_frame:deint=interlaced"),
+        graph.add("buffersink"),
+    ).configure()
+    return graph
+
+
+def _pulled(graph: Any) -> Iterator[Any]:
+    while True:
+        try:
+            yield graph.pull()
+        except (av.error.BlockingIOError, av.error.EOFError):
+            return
+
+
+def _words(error: BaseException) -> str:
+    return str(getattr(error, "strerror", None) or error)

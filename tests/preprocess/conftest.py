@@ -1,0 +1,12 @@
+"""Fixtures of the preprocessing tests."""
+
+from __future__ import annotations
+
+import pytest
+from made_up_subject import Clip, make_clip
+
+
+@pytest.fixture(scope="session")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    """The made-up subject's data; read only."""
+    return make_clip(tmp_path_factory.mktemp("clip"))
