@@ -13,6 +13,7 @@ from rich.console import Console
 from evaluate.options import Options, parse
 from evaluate.outputs import build_tables, write_tables
 from evaluate.pairing import pair_folders
+from evaluate.protocol import Protocol
 from evaluate.regression import Check, check_limits, compare, parse_limits, to_github, write_junit
 from evaluate.render_table_terminal import show
 from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
@@ -103,9 +104,7 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     folders = options.folders
     if folders.pred is None or folders.gt is None:
         raise InputError("expected --pred and --gt")
-    protocol = options.base_protocol()
-    if options.protocol != "auto":
-        protocol = protocol.override(split="given", resolution="given", mask="given")
+    protocol = folder_protocol(options)
     pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
     names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
@@ -113,7 +112,21 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     return score(pairs, protocol, labels, learned(options, protocol), options.threads, progress)
 
 
-def learned(options: Options, protocol: Any) -> Perceptual | None:
+def folder_protocol(options: Options) -> Protocol:
+    """The arithmetic of a named protocol; what two folders cannot prove is `given`, regions are those with masks."""
+    protocol = options.base_protocol()
+    if protocol.name != "folders":
+        protocol = protocol.override(split="given", resolution="given", mask="given")
+    folders = options.folders
+    if options.override.regions is not None:
+        return protocol
+    known: tuple[str, ...] = ("foreground", "boundary") if folders.masks else ()
+    if folders.region_masks and folders.region_masks.is_dir():
+        known += tuple(sorted(path.name for path in folders.region_masks.iterdir() if path.is_dir()))
+    return protocol.override(regions=known)
+
+
+def learned(options: Options, protocol: Protocol) -> Perceptual | None:
     """Learned metrics of a protocol, unless switched off."""
     return learned_metrics(protocol, model_folders(options.models)) if not options.no_lpips else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -31,12 +32,12 @@ def measure_pixels(
         Values by column. PSNR of identical images is infinite; None stands for an empty mask, for a region without
         mask, or for an image too small for the metric.
     """
-    maps = _maps(prediction, truth, columns)
+    maps = {**_ssim_maps(prediction, truth, columns), **_error_maps(prediction, truth, columns)}
     values: dict[str, Value] = {}
     for column in columns:
         name, _, region = column.partition("@")
         if region:
-            values[column] = _masked(prediction, truth, name, maps, regions.get(region))
+            values[column] = _masked(name, maps, regions.get(region))
         elif name in SSIM_NAMES:
             values[column] = float(maps[name].mean(dtype=np.float64)) if name in maps else None
         elif name in _WHOLE:
@@ -56,14 +57,8 @@ _WHOLE: Mapping[str, Callable[[Image, Image], Value]] = {
     "ms_ssim": _ms_ssim,
 }
 
-_MASKED: Mapping[str, Callable[[Image, Image, Weights], Value]] = {
-    "psnr": metrics.masked_psnr,
-    "mse": metrics.masked_mean_squared_error,
-    "l1": metrics.masked_mean_absolute_error,
-}
 
-
-def _maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, np.ndarray]:
+def _ssim_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, np.ndarray]:
     """The SSIM maps that the columns need; valid ones are cut from the padded ones, so each pair is filtered once."""
     names = {column.partition("@")[0] for column in columns} & set(SSIM_NAMES)
     if min(prediction.shape[:2]) < ssim.WINDOW:
@@ -79,14 +74,25 @@ def _maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, 
     return found
 
 
-def _masked(
-    prediction: Image, truth: Image, name: str, maps: Mapping[str, np.ndarray], weights: Weights | None
-) -> Value:
+def _error_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, np.ndarray]:
+    """Errors per pixel that the masked columns share."""
+    names = {column.partition("@")[0] for column in columns if "@" in column}
+    if not names & {"psnr", "mse", "l1"}:
+        return {}
+    difference = cv2.absdiff(prediction, truth).astype(np.float32) / np.float32(255)
+    found = {"l1": difference} if "l1" in names else {}
+    return found | {"mse": np.square(difference)}
+
+
+def _masked(name: str, maps: Mapping[str, np.ndarray], weights: Weights | None) -> Value:
+    """The weighted mean of a map, as `evaluate.metrics.masked_…` and `evaluate.ssim.masked_mean` define it."""
     if weights is None:
         return None
-    if name in SSIM_NAMES:
-        inner = name in ("ssim", "ssim_luma")
-        radius = ssim.RADIUS
-        cut = weights[radius:-radius, radius:-radius] if inner else weights
-        return ssim.masked_mean(maps[name], cut) if name in maps else None
-    return _MASKED[name](prediction, truth, weights)
+    if name == "psnr":
+        error = ssim.masked_mean(maps["mse"], weights)
+        return None if error is None else metrics.decibels(error)
+    if name not in maps:
+        return None
+    radius = ssim.RADIUS if name in ("ssim", "ssim_luma") else 0
+    height, width = weights.shape
+    return ssim.masked_mean(maps[name], weights[radius : height - radius, radius : width - radius])

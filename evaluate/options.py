@@ -91,7 +91,7 @@ class Options:
     table: bool = False
     """Print the table (its files are always written)."""
     protocol: str = "auto"
-    """paper, strict, insta-350, flash-500, imavatar-face256, gaussian-avatars, folders; auto follows the run's split."""
+    """paper, strict, insta-350, flash-500, imavatar-face256, gaussian-avatars, folders; auto: by the run's split."""
     folders: tyro.conf.OmitArgPrefixes[Folders] = Folders()
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()

@@ -152,6 +152,7 @@ _PIXELS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ms_ssim")
 _TEMPORAL = ("frame_difference", "flicker")
 _ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *_TEMPORAL)
 _HELD_OUT_END = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *_TEMPORAL)
+_PARTS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
 _LINEAGE = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")
 
 
@@ -167,8 +168,9 @@ _NAMED = (
         "every-20th",
         metrics=(*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_vgg_unit_range"),
         table_metrics=("psnr", "ssim_3dgs", "lpips_alex"),
+        regions=_PARTS,
     ),
-    _on_white("strict", "ratio-0.8", metrics=_ALL),
+    _on_white("strict", "ratio-0.8", metrics=_ALL, regions=_PARTS),
     _on_white("insta-350", "last-350", metrics=_HELD_OUT_END),
     _on_white("flash-500", "last-500", metrics=_HELD_OUT_END, table_metrics=("psnr", "ssim_3dgs", "lpips_vgg")),
     _on_white(

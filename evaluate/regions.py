@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-REGION_SETS: Mapping[str, tuple[str, ...]] = {
-    "face": ("face",),
-    "mouth": ("mouth", "lips"),
-    "eyes": ("eyes", "left_eye", "right_eye", "eye_region"),
-    "hair": ("scalp", "hair"),
-}
-"""Region of the image by the vertex sets of a head model that make it up; those a head has are joined."""
+VERTEX_SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "face": ("face",),
+        "mouth": ("mouth", "lips"),
+        "eyes": ("eyes", "eye_region", "left_eye_region", "right_eye_region", "left_eyeball", "right_eyeball"),
+        "scalp": ("scalp",),
+        "below": ("neck", "shoulders"),
+    }
+)
+"""Part of the image by the vertex sets of a head model that make it up; those a head has are joined."""
+
+MESH_REGIONS = ("face", "mouth", "eyes")
+"""Parts that are measured as they are; the hair is made from the others and the person's mask."""
 
 BAND_SHARE = 0.02
 
@@ -49,6 +56,24 @@ def convex_hull(points: Float[np.ndarray, "L 2"], width: int, height: int) -> UI
     return mask
 
 
+def hair_region(
+    person: UInt8[np.ndarray, "H W"], scalp: UInt8[np.ndarray, "H W"], covered: UInt8[np.ndarray, "H W"]
+) -> UInt8[np.ndarray, "H W"]:
+    """Top of the person: what the person's mask has above the lower end of the visible scalp, without face and neck.
+
+    Hair stands off the scalp, so the mesh only tells how far down to look; a hat counts as hair.
+
+    Args:
+        person: Coverage of the person.
+        scalp: Visible scalp of the mesh.
+        covered: Visible face, neck and shoulders of the mesh.
+    """
+    rows = np.flatnonzero(scalp.any(axis=1))
+    hair = np.where(covered > 0, np.uint8(0), person)
+    hair[rows[-1] + 1 if rows.size else 0 :] = 0
+    return hair
+
+
 def mesh_regions(
     points: Float[np.ndarray, "V 2"],
     depth: Float[np.ndarray, " V"],
@@ -69,14 +94,14 @@ def mesh_regions(
         size: Width and height of the masks, px.
 
     Returns:
-        Masks by region of `REGION_SETS` that the vertex sets can make; others are absent.
+        Masks by name of `VERTEX_SETS` that the vertex sets can make; others are absent.
     """
     order = np.argsort(-depth[faces].mean(axis=1), kind="stable")
     drawn = faces[order]
     drawn = drawn[(depth[drawn] > 0).all(axis=1)]
     corners = np.clip(np.round((points[drawn] - 0.5) * 16), -(2**24), 2**24).astype(np.int32)
     masks = {}
-    for region, names in REGION_SETS.items():
+    for region, names in VERTEX_SETS.items():
         members = [vertex_sets[name] for name in names if name in vertex_sets]
         if members:
             inside = np.isin(drawn, np.concatenate(members)).all(axis=1)

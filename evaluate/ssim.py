@@ -65,7 +65,7 @@ def masked_mean(values: Float[np.ndarray, "H W C"], weights: Float[np.ndarray, "
     if values.shape[:2] != weights.shape:
         raise ValueError(f"expected a mask of {values.shape[:2]} px (height, width), got {weights.shape}")
     total = float(weights.sum(dtype=np.float64))
-    return float((values.mean(axis=2, dtype=np.float64) * weights).sum() / total) if total > 0 else None
+    return float(np.vdot(values.mean(axis=2, dtype=np.float64), weights)) / total if total > 0 else None
 
 
 def luma(image: UInt8[np.ndarray, "H W 3"] | Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 1"]:

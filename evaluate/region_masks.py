@@ -1,0 +1,80 @@
+"""Masks of face, mouth, eyes and hair for the test frames of a run, drawn from its tracked head mesh."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+
+from evaluate.frame_files import frame_file
+from evaluate.regions import MESH_REGIONS, hair_region, mesh_regions
+from ggavatar.core import Camera, Drive
+from ggavatar.geometry import project
+from ggavatar.head.files import load_head
+from ggavatar.head.model import HeadModel
+from ggavatar.pictures import read_grey, write_png
+from ggavatar.runs import Run
+
+
+def write_region_masks(run: Run, folder: Path, frames: Sequence[int], wanted: Sequence[str]) -> list[str]:
+    """Write `regions/NAME/000123.png` beside the pictures that were predicted, and return the names of the regions.
+
+    Args:
+        run: The opened run.
+        folder: Where `predict` wrote `masks/`.
+        frames: Source frame numbers.
+        wanted: Regions that the protocol measures; those that come from no mesh (foreground, boundary) are left out.
+
+    Returns:
+        Regions that the head model has vertex sets for; others cannot be measured.
+    """
+    names = [name for name in wanted if name in (*MESH_REGIONS, "hair")]
+    if not names:
+        return []
+    head = load_head(run.capture.head_path)
+    drawn: set[str] = set()
+    for number in frames:
+        person = read_grey(frame_file(folder / "masks", number))
+        masks = frame_regions(head, run.reader.drive(number), run.reader.camera(number), person)
+        for name in names:
+            if name in masks:
+                write_png(frame_file(folder / "regions" / name, number), masks[name])
+                drawn.add(name)
+    return sorted(drawn)
+
+
+@torch.inference_mode()
+def frame_regions(
+    head: HeadModel, drive: Drive, camera: Camera, person: UInt8[np.ndarray, "H W"]
+) -> Mapping[str, UInt8[np.ndarray, "H W"]]:
+    """Masks by region of one frame, 255 inside, at the size of the person's mask.
+
+    Args:
+        head: The capture's head model.
+        drive: What moves it.
+        camera: Where it is seen from, at the capture's size.
+        person: The person's mask; the hair is the part of it above and beside the face.
+    """
+    height, width = person.shape
+    seen = camera.resized(width, height)
+    cpu = [value.detach().cpu() for value in (seen.intrinsics, seen.world_to_camera)]
+    vertices = head.vertices(_on_cpu(drive))
+    depth = (vertices @ cpu[1][:3, :3].T + cpu[1][:3, 3])[:, 2]
+    sets = {name: rows.numpy() for name, rows in head.regions.items()}
+    masks = mesh_regions(project(vertices, *cpu).numpy(), depth.numpy(), head.faces.numpy(), sets, (width, height))
+    found = {name: mask for name, mask in masks.items() if name in MESH_REGIONS}
+    if "scalp" in masks and "face" in masks:
+        found["hair"] = hair_region(
+            person, masks["scalp"], np.maximum(masks["face"], masks.get("below", masks["face"]))
+        )
+    return found
+
+
+def _on_cpu(drive: Drive) -> Drive:
+    """The drive where the head model is."""
+    names = ("expression", "joint_rotations", "eyelids", "translation", "head_to_camera")
+    return dataclasses.replace(drive, **{name: getattr(drive, name).detach().cpu() for name in names})

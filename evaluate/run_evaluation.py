@@ -1,0 +1,148 @@
+"""From a run folder to an evaluation: render the test frames, draw the regions, score. Needs torch."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from evaluate.gather import Labels
+from evaluate.options import Options
+from evaluate.pairing import pair_folders
+from evaluate.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
+from evaluate.protocol import Protocol
+from evaluate.region_masks import write_region_masks
+from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.score import learned_metrics, score
+from evaluate.weights import model_folders
+from ggavatar.errors import InputError
+from ggavatar.runs import Run, open_run, read_config
+
+Progress = Callable[[int, int], None]
+
+
+def evaluate_run(
+    folder: Path, options: Options, progress: Callable[[str], Progress | None]
+) -> tuple[Evaluation, list[Path]]:
+    """Predict and score one run under the options' protocol; results that are up to date are read instead.
+
+    Args:
+        folder: Written by ggavatar-train.
+        options: Of the command.
+        progress: Makes a callback with (done, total) for a title.
+
+    Returns:
+        The evaluation and its files, under `RUN/eval/PROTOCOL/`.
+
+    Raises:
+        InputError: Not a run, or the protocol cannot be applied to it.
+    """
+    config = read_config(folder)
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
+    run = open_run(folder, device)
+    protocol = fitted(options.base_protocol(config.split), run)
+    job = job_of(run, protocol)
+    home = folder / "eval" / protocol.id
+    learned = None if options.no_lpips else learned_metrics(protocol, model_folders(options.models))
+    if options.again or _is_stale(home, job):
+        discard(home)
+    kept = _kept(home, protocol, learned.missing if learned else None)
+    if kept is not None:
+        return kept, [home / METRICS_FILE, home / FRAMES_FILE]
+    summary = predict_frames(run, job, home, progress("rendering"))
+    inside = () if protocol.region == "full" else (protocol.region,)
+    drawn = write_region_masks(run, home, job.frames, (*protocol.regions, *inside))
+    regions = home / "regions" if drawn else None
+    pairs = pair_folders(home / "predictions", home / "ground_truth", home / "masks", regions, job.frames)
+    evaluation = score(pairs, protocol, _labels(run, summary), learned, options.threads, progress("scoring"))
+    return evaluation, write_results(evaluation, home)
+
+
+def fitted(protocol: Protocol, run: Run) -> Protocol:
+    """The protocol at a resolution the capture has: ground truth is never enlarged nor distorted, and the id says so."""
+    own = run.capture.width, run.capture.height
+    if protocol.size is None:
+        return protocol
+    width, height = protocol.size
+    distorted = abs(own[0] * height - own[1] * width) > 0.01 * own[0] * height
+    if own[0] < width or own[1] < height or distorted:
+        return protocol.override(resolution=f"{own[0]}x{own[1]}")
+    return protocol
+
+
+def _is_stale(home: Path, job: Job) -> bool:
+    """Whether the folder holds predictions of another checkpoint or by other rules."""
+    path = home / SUMMARY
+    return path.is_file() and _read(path).get("key") != job.key()
+
+
+def _kept(home: Path, protocol: Protocol, missing: dict[str, str] | None) -> Evaluation | None:
+    """An evaluation that is up to date: same predictions, same protocol, and no more learned metrics to be had."""
+    if not (home / METRICS_FILE).is_file() or not _read(home / SUMMARY).get("complete"):
+        return None
+    try:
+        found = read_results(home)
+    except InputError:
+        return None
+    learned = {name for name in found.missing if name.startswith("lpips")}
+    wanted = set(missing) if missing is not None else {name for name in protocol.metrics if name.startswith("lpips")}
+    return found if found.protocol.digest == protocol.digest and learned == wanted else None
+
+
+def discard(home: Path) -> None:
+    """Remove what an earlier evaluation wrote, file by file; nothing else in the folder is touched."""
+    summary = _read(home / SUMMARY) if (home / SUMMARY).is_file() else {}
+    names = [f"{number:06d}.png" for number in summary.get("frames", ())]
+    folders = [home / name for name in FOLDERS]
+    folders += [path for path in (home / "regions").glob("*") if path.is_dir()]
+    for path in (folder / name for folder in folders for name in names):
+        path.unlink(missing_ok=True)
+    for name in (METRICS_FILE, FRAMES_FILE, SUMMARY):
+        (home / name).unlink(missing_ok=True)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON object, or nothing if the file is damaged: what it described is made again."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _labels(run: Run, summary: dict[str, Any]) -> Labels:
+    """Names and costs of a run."""
+    timing = summary.get("timing", {})
+    costs = {
+        "fps": timing.get("fps"),
+        "fps_statement": _statement(timing) if timing else None,
+        "device": timing.get("device"),
+        "gaussians": summary.get("gaussians", {}).get("median"),
+        "model_megabytes": summary.get("model_megabytes"),
+        "training_seconds": run.provenance.get("training_seconds"),
+        "peak_memory_megabytes": _megabytes(run.provenance),
+    }
+    where = {
+        "run": str(run.folder),
+        "checkpoint": {"step": run.step, "sha256": summary.get("identity", {}).get("checkpoint_sha256")},
+        "capture_sha256": run.provenance.get("capture_sha256"),
+        "training_split": run.config.split,
+    }
+    notes = () if run.provenance.get("finished", True) else (f"the training was not finished (step {run.step})",)
+    return Labels(run.capture.subject, run.method, run.config.seed, costs, where, notes)
+
+
+def _statement(timing: dict[str, Any]) -> str:
+    return (
+        f"FPS is 1 / median over {timing['frames']} frames on {timing['device']} with {timing['threads']} threads; "
+        f"it includes {timing['includes']} and excludes {timing['excludes']}."
+    )
+
+
+def _megabytes(provenance: dict[str, Any]) -> float | None:
+    """Peak memory of the training, on the accelerator where there was one, 10⁶ bytes."""
+    mebibytes = provenance.get("peak_gpu_memory_mib") or provenance.get("peak_memory_mib")
+    return None if mebibytes is None else mebibytes * 1.048576
