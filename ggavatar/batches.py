@@ -1,0 +1,190 @@
+"""From a capture's files to the frames a training sees: composited, resized, on the device, a few ahead of need."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ggavatar.capture import Capture
+from ggavatar.core import Camera, Drive, Frame
+from ggavatar.geometry import axis_angle_to_matrix, rigid
+from ggavatar.head.model import HeadModel
+from ggavatar.schedule import seeded
+
+AHEAD = 4
+"""Frames prepared while the current one is trained on."""
+
+
+class Frames:
+    """The frames of a capture, read when asked for and kept as 8-bit pixels within a memory budget.
+
+    What is kept stays: frames come in random order, so replacing one by another would gain nothing.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        head: HeadModel,
+        background: Float[Tensor, "3"],
+        device: torch.device | str,
+        budget_mib: int = 512,
+    ) -> None:
+        """Prepare drives and cameras of all frames; no picture is read yet.
+
+        Args:
+            capture: Where the frames lie.
+            head: The capture's head model.
+            background: sRGB in [0, 1].
+            device: Where the tensors go.
+            budget_mib: Memory for kept pixels, MiB; 0 keeps none.
+        """
+        self._capture, self._device = capture, device
+        self.background = background.detach().cpu().to(torch.float32)
+        self._drives, self._cameras = drives_and_cameras(capture, head, device)
+        self._room = budget_mib << 20
+        self._kept: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+    def drive(self, number: int) -> Drive:
+        """What moves the head in a source frame."""
+        return self._drives[self._capture.row(number)]
+
+    def camera(self, number: int) -> Camera:
+        """Where a source frame is seen from, at the capture's size."""
+        return self._cameras[self._capture.row(number)]
+
+    def frame(self, number: int, width: int | None = None, height: int | None = None, keep: bool = False) -> Frame:
+        """One frame, at the capture's size or resampled to another by area averaging.
+
+        `keep` puts its pixels into the memory budget.
+
+        Raises:
+            InputError: Its image or mask is missing or damaged.
+        """
+        size = (width or self._capture.width, height or self._capture.height)
+        image, alpha = self._pixels(number, *size, keep)
+        return Frame(
+            drive=self.drive(number),
+            camera=self.camera(number).resized(*size),
+            image=_to_float(image, self._device),
+            alpha=_to_float(alpha[..., None], self._device),
+        )
+
+    def stream(self, requests: Iterable[tuple[int, int, int]]) -> Generator[Frame]:
+        """Frames for (number, width, height) in order, read and kept by one thread that stays a few frames ahead."""
+        with ThreadPoolExecutor(1, thread_name_prefix="frames") as reader:
+            waiting: deque[Future[Frame]] = deque()
+            try:
+                for request in requests:
+                    waiting.append(reader.submit(self.frame, *request, keep=True))
+                    if len(waiting) > AHEAD:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def _pixels(self, number: int, width: int, height: int, keep: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Composited colours [H, W, 3] and coverage [H, W], 8-bit."""
+        key = (number, width, height)
+        found = self._kept.get(key)
+        if found is None:
+            found = self._read(number, width, height)
+            if keep:
+                self._keep(key, found)
+        return found
+
+    def _keep(self, key: tuple[int, int, int], pixels: tuple[np.ndarray, np.ndarray]) -> None:
+        """Keep the pixels if the budget has room; called by the reading thread only."""
+        size = sum(part.nbytes for part in pixels)
+        if size > self._room:
+            self._forget_other_sizes(*key[1:])
+        if size <= self._room:
+            self._room -= size
+            self._kept[key] = pixels
+
+    def _forget_other_sizes(self, width: int, height: int) -> None:
+        """Drop frames of another size; training never returns to it."""
+        for key in [key for key in list(self._kept) if key[1:] != (width, height)]:
+            self._room += sum(part.nbytes for part in self._kept.pop(key))
+
+    def _read(self, number: int, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        alpha = self._capture.mask(number).astype(np.float32)
+        coverage = alpha[..., None] / 255
+        image = self._capture.image(number) * coverage + self.background.numpy() * 255 * (1 - coverage)
+        if (width, height) != (self._capture.width, self._capture.height):
+            import cv2
+
+            image, alpha = (cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA) for part in (image, alpha))
+        return np.rint(image).astype(np.uint8), np.rint(alpha).astype(np.uint8)
+
+
+def random_order(numbers: Sequence[int], seed: int, first_step: int) -> Iterator[int]:
+    """Endlessly, a new permutation of `numbers` each epoch, beginning at step `first_step` (from 1).
+
+    A function of seed and step alone.
+    """
+    count = len(numbers)
+    epoch, offset = divmod(first_step - 1, count)
+    while True:
+        order = torch.randperm(count, generator=seeded(seed, 1, epoch)).tolist()
+        yield from (numbers[index] for index in order[offset:])
+        epoch, offset = epoch + 1, 0
+
+
+def drives_and_cameras(
+    capture: Capture, head: HeadModel, device: torch.device | str
+) -> tuple[list[Drive], list[Camera]]:
+    """Drives and full-size cameras of all frames of a capture, on a device."""
+    tracking = capture.tracking
+
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float32).to(device)
+
+    columns = [
+        tensor(values)
+        for values in (tracking.expression, tracking.joint_rotations, tracking.eyelids, tracking.translation)
+    ]
+    intrinsics, views = tensor(tracking.intrinsics), tensor(tracking.world_to_camera)
+    drives, cameras = [], []
+    for row, number in enumerate(capture.frames):
+        expression, joints, eyelids, translation = (column[row] for column in columns)
+        pose = views[row] @ head_pose(head, joints, translation)
+        drives.append(Drive(expression, joints, eyelids, translation, pose, number))
+        cameras.append(Camera(intrinsics[row], views[row], capture.width, capture.height))
+    return drives, cameras
+
+
+def head_pose(
+    head: HeadModel, joint_rotations: Float[Tensor, "J 3"], translation: Float[Tensor, "3"]
+) -> Float[Tensor, "4 4"]:
+    """Rigid motion of the skull in the world.
+
+    Root, then neck, then translation. The identity for trackers that move the camera instead.
+    """
+    chain_of_joints = [index for index, name in enumerate(head.joint_names) if name in ("root", "neck")]
+    rotations = axis_angle_to_matrix(joint_rotations)
+    joints = head.joint_regressor @ head.template
+    motion = rigid(torch.eye(3, dtype=joints.dtype, device=joints.device), torch.zeros_like(translation))
+    for index in chain_of_joints:
+        motion = motion @ rigid(rotations[index], joints[index] - rotations[index] @ joints[index])
+    return rigid(motion[:3, :3], motion[:3, 3] + translation)
+
+
+def spaced(numbers: Sequence[int], count: int) -> list[int]:
+    """At most `count` of `numbers`, evenly spaced, first and last among them."""
+    if count >= len(numbers):
+        return list(numbers)
+    picks = np.linspace(0, len(numbers) - 1, count).round().astype(int)
+    return [numbers[index] for index in dict.fromkeys(chain(picks.tolist()))]
+
+
+def _to_float(pixels: np.ndarray, device: torch.device | str) -> Tensor:
+    return torch.from_numpy(pixels).to(device).to(torch.float32) / 255

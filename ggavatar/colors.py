@@ -1,0 +1,59 @@
+"""First colours of Gaussians, read off training frames by the weight with which each contributes to each pixel."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ggavatar.core import Drive, Frame, Gaussians, Rasterizer
+
+SH_C0 = 0.28209479177387814
+"""The constant spherical harmonic: colour = 0.5 + SH_C0 · coefficient."""
+
+
+def splatted_colors(
+    pose: Callable[[Drive], Gaussians], frames: Sequence[Frame], rasterize: Rasterizer, least_weight: float = 0.1
+) -> Float[Tensor, "N 3"]:
+    """The mean colour of the pixels a Gaussian is blended into, weighted by its share of them.
+
+    The weights are the rasteriser's own derivatives with respect to colour, so any backend will do.
+
+    Args:
+        pose: Gaussians of a drive; their colours are not used.
+        frames: What they are compared with.
+        rasterize: The renderer.
+        least_weight: Gaussians with less weight in total (hidden ones) get the mean colour of the others.
+
+    Returns:
+        sRGB in [0, 1].
+
+    References:
+        c = Σ w I / Σ w, as in RGBAvatar's start (Li et al. 2025).
+    """
+    totals: Tensor | None = None
+    for frame in frames:
+        with torch.no_grad():
+            posed = pose(frame.drive)
+        colors = torch.zeros_like(posed.means).requires_grad_()
+        drawn = rasterize(
+            dataclasses.replace(posed, colors=colors, sh_degree=None), frame.camera, torch.zeros_like(colors[0])
+        )
+        weighted = torch.autograd.grad(drawn.image, colors, frame.image, retain_graph=True)[0]
+        weight = torch.autograd.grad(drawn.image, colors, torch.ones_like(frame.image))[0]
+        found = torch.cat((weighted, weight[:, :1]), dim=1)
+        totals = found if totals is None else totals + found
+    if totals is None:
+        raise ValueError("expected at least one frame to read colours from")
+    seen = totals[:, 3] > least_weight
+    colors = totals[:, :3] / totals[:, 3:].clamp_min(least_weight)
+    usual = colors[seen].mean(0) if bool(seen.any()) else torch.full_like(colors[0], 0.5)
+    return torch.where(seen[:, None], colors, usual).clamp(0, 1)
+
+
+def rgb_to_sh(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    """Coefficients of the constant spherical harmonic that show as `colors`."""
+    return (colors - 0.5) / SH_C0

@@ -1,0 +1,359 @@
+"""GGAvatar (Li et al. 2024): Gaussians on a head mesh, refined by an expression-driven Geometry Morph Adjuster.
+
+Read it beside the paper: every equation is named where it is computed, and docs/paper.md says how each gap in the
+text was closed (A1–A34).
+
+    1. Neutral phase (Sec. 3.2): one Gaussian per triangle of the neutral head, grown by density control with
+    inherited bindings. 2. Then (Sec. 3.3) the head moves with the tracked expression, and the adjuster adds Δμ, Δr,
+    Δs = W(x)·f(ψ, θ) to every Gaussian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from ggavatar.binding import Placed, bind
+from ggavatar.colors import rgb_to_sh, splatted_colors
+from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.deform import AdjusterConfig, BasisAdjuster, refine
+from ggavatar.density import DensityControl, accumulate, statistics
+from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
+from ggavatar.geometry import TriangleFrames, project, triangle_frames
+from ggavatar.head.model import HeadModel
+from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
+from ggavatar.rows import Column, Rows
+from ggavatar.scene import Scene
+from ggavatar.schedule import PAPER_STEPS, log_linear, scaled, seeded
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every number of the method.
+
+    Iterations are those of the paper's 120,000 and scale with the length of the training.
+    """
+
+    neutral_iterations: int = 5_000
+    """Iterations on the neutral mesh, before expressions, adjuster and perceptual loss begin (Sec. 3.5)."""
+    initialization: bool = True
+    """Whether there is a neutral phase at all (Table 2, w/o initialization)."""
+    skinning: bool = True
+    """Whether the mesh follows the expression (Table 2, w/o LBS)."""
+    adjuster: bool = True
+    """Whether there is a Geometry Morph Adjuster (Table 2, w/o Geometry Morph Adjuster)."""
+    field: Literal["triplane", "fourier"] = "triplane"
+    """Features of neutral positions; `fourier` is Table 2, w/o tri-plane."""
+
+    position_rate: float = 5e-3
+    """Learning rate of local positions at the start, triangle units (Sec. 3.5; A19)."""
+    position_decay: float = 0.01
+    """Share of the position rate that is left at `position_iterations` (Sec. 3.5)."""
+    position_iterations: int = 60_000
+    """Iterations over which the position rate falls; constant afterwards (Sec. 3.5)."""
+    scale_rate: float = 5e-3
+    """Learning rate of the logarithms of local scales (Sec. 3.5)."""
+    rotation_rate: float = 1e-3
+    """Learning rate of local quaternions (3DGS)."""
+    opacity_rate: float = 0.05
+    """Learning rate of opacity logits (3DGS)."""
+    color_rate: float = 2.5e-3
+    """Learning rate of the constant spherical harmonic; the others learn at a 20th (3DGS)."""
+    sh_degree: int = 3
+    """Highest degree of the spherical harmonics, 0 to 3 (3DGS; A21)."""
+    sh_iterations: int = 1_000
+    """Iterations between two rises of the degree in use (3DGS)."""
+    first_colors: Literal["grey", "frames"] = "grey"
+    """Colours to begin with: grey (GaussianAvatars), or read off a few training frames."""
+
+    density_start: int = 500
+    """Density control begins after this iteration (Sec. 3.5)."""
+    density_stop: int = 60_000
+    """Density control ends with this iteration, and opacity resets with it (Sec. 3.5; A20)."""
+    density_interval: int = 100
+    """Iterations between two rounds (Sec.
+
+    3.5); short trainings keep 20 steps, or 30 rounds, or at the least 10 steps.
+    """
+    density_gradient: float = 2e-4
+    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (3DGS)."""
+    reset_iterations: int = 3_000
+    """Iterations between two opacity resets (Sec. 3.5); none in trainings shorter than a tenth of the paper's."""
+    extent: float = 1.0
+    """Extent of the scene, m (A23)."""
+
+    latent: int = 32
+    """Length L of the latent vector f (unstated; A8)."""
+    hidden: int = 64
+    """Width of the basis network F_H (unstated; A8)."""
+    latent_hidden: int = 128
+    """Width of the latent network F_ψθ (unstated; A8)."""
+    field_levels: int = 12
+    """Levels of the tri-plane (unstated; A9)."""
+    field_features: int = 2
+    """Features of a table entry (unstated; A9)."""
+    field_finest: int = 512
+    """Cells along a side at the finest level (unstated; A9)."""
+    octaves: int = 10
+    """Octaves of the positional encoding in w/o tri-plane (NeRF)."""
+    offset_unit: float = 0.01
+    """Metres per unit of Δμ (A6)."""
+    network_rate: float = 1e-4
+    """Learning rate of F_H and F_ψθ (Sec. 3.5)."""
+    field_rate: float = 5e-3
+    """Learning rate of the tri-plane's tables (Sec. 3.5)."""
+
+    dssim_share: float = 0.2
+    """λ1, share of D-SSIM in the image loss (Eq. 13)."""
+    perceptual_weight: float = 0.02
+    """λ2, weight of the VGG loss after the neutral phase (Eq. 16)."""
+    perceptual_mode: Literal["image", "crops"] = "image"
+    """VGG loss on the whole image in every step (Sec.
+
+    3.4), or on a crop in some of them at the same expected weight.
+    """
+    crop_side: int = 128
+    """Side of a crop, px."""
+    crop_probability: float = 0.2
+    """Share of the steps with a crop."""
+    position_weight: float = 0.01
+    """λ3, weight of the position regulariser (Eq. 16)."""
+    position_threshold: float = 1.0
+    """ε_position, triangle units (Eq. 14)."""
+    scale_weight: float = 1.0
+    """λ4, weight of the scale regulariser (Eq. 16)."""
+    scale_threshold: float = 0.6
+    """ε_scaling, triangle units (Eq. 15)."""
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "without_adjuster": {"adjuster": False},
+    "without_triplane": {"field": "fourier"},
+    "without_lbs": {"skinning": False},
+    "without_initialization": {"initialization": False},
+}
+
+SHORT: dict[str, Any] = {
+    "first_colors": "frames",
+    "perceptual_mode": "crops",
+    "density_start": 5_000,
+    "network_rate": 1e-3,
+    "sh_degree": 1,
+    "sh_iterations": 20_000,
+}
+"""What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
+
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+
+
+def build(config: Config, scene: Scene) -> GGAvatar:
+    """The avatar before its first step."""
+    avatar = GGAvatar(config, scene).to(scene.background.device)
+    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
+        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
+        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    return avatar
+
+
+class GGAvatar(nn.Module):
+    """The avatar: rows of Gaussians in the spaces of their triangles, the adjuster, and the number of steps done."""
+
+    steps_done: Tensor
+
+    def __init__(self, config: Config, scene: Scene) -> None:
+        super().__init__()
+        self.config, self.scene = config, scene
+        self.head: HeadModel = scene.head
+        self.neutral_frames = triangle_frames(self.head.neutral(), self.head.faces)
+        self.rows = first_rows(config, self.head, seeded(scene.seed, 4))
+        self.adjuster = make_adjuster(config, scene) if config.adjuster else None
+        self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
+        self.density = density_control(config, scene)
+        self.crops = CropSampler(config.crop_side, config.crop_probability)
+        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
+        self._perceptual: list[PerceptualLoss] = []
+        self._kept_hidden: Tensor | None = None
+
+    @property
+    def is_neutral(self) -> bool:
+        """Whether the next step belongs to the neutral phase."""
+        return self.config.initialization and int(self.steps_done) < scaled(
+            self.config.neutral_iterations, self.scene.steps
+        )
+
+    def gaussians(self, drive: Drive) -> Gaussians:
+        """The avatar posed by `drive`, in world space (Eq. 4–12)."""
+        rows = self.rows
+        means, quats, scales = self._placed(self._face_frames(drive))
+        if self.adjuster is not None and not self.is_neutral:
+            latent = self.adjuster.latent(self.head.condition(drive))  # Eq. 10
+            offsets = self.adjuster.offsets(self._hidden(), latent)  # Eq. 9 and 11, W never built
+            means, quats, scales = refine(means, quats, scales, offsets, self.config.offset_unit)  # Eq. 12
+        colors = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
+        return Gaussians(means, quats, scales, rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
+        """The weighted terms of Eq. 13–16."""
+        config, rows = self.config, self.rows
+        visible = rendering.radii > 0
+        local_scales = rows["log_scales"].exp()
+        terms = {
+            "l1": (1 - config.dssim_share) * l1(rendering.image, frame.image),
+            "dssim": config.dssim_share * dssim(rendering.image, frame.image),
+            "position": config.position_weight
+            * position_regulariser(rows["means"], visible, config.position_threshold),
+            "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),
+        }
+        if config.perceptual_weight and not self.is_neutral:
+            terms.update(self._perceptual_term(frame, rendering, step))
+        return terms
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """Adam on the rows and Adam on the adjuster."""
+        return [self.rows.optimizer, *([self.adjuster_optimizer] if self.adjuster_optimizer else [])]
+
+    @torch.no_grad()
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        """Density control after `step`; rates and stage of the next."""
+        if self.density.is_active(step):
+            accumulate(self.rows, rendering)
+            self.density.apply(self.rows, step, self.neutral_frames.scales, seeded(self.scene.seed, 2, step))
+        self.rows.set_rate("means", position_rate(self.config, self.scene, step))
+        self.steps_done.fill_(step)
+
+    def train(self, mode: bool = True) -> GGAvatar:
+        """Switch between training and evaluation; evaluation keeps what does not depend on the drive."""
+        self._kept_hidden = None
+        return super().train(mode)
+
+    def notes(self) -> dict[str, str]:
+        """What a reader of the results must know: which features the perceptual loss used."""
+        return {"perceptual_loss": self._perceptual[0].name} if self._perceptual else {}
+
+    @torch.no_grad()
+    def _face_frames(self, drive: Drive) -> TriangleFrames:
+        """Frames of the triangles (Eq. 4–5): of the neutral head, or of the head as it is tracked."""
+        if self.is_neutral or not self.config.skinning:
+            return self.neutral_frames
+        return triangle_frames(self.head.vertices(drive), self.head.faces)
+
+    def _placed(self, frames: TriangleFrames) -> Placed:
+        """The Gaussians on these triangles (Eq. 6–8)."""
+        rows = self.rows
+        return bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], frames)
+
+    def _hidden(self) -> Float[Tensor, "N H"]:
+        """The basis network's last layer at the neutral positions x (Eq. 9); in evaluation computed once."""
+        assert self.adjuster is not None
+        if self._kept_hidden is not None:
+            return self._kept_hidden
+        with torch.no_grad():
+            x = self._placed(self.neutral_frames).means
+        hidden = self.adjuster.hidden(x)
+        if not self.training and not torch.is_grad_enabled():
+            self._kept_hidden = hidden
+        return hidden
+
+    def _sh_degree(self) -> int:
+        """Degree in use: one more every `sh_iterations`."""
+        interval = max(scaled(self.config.sh_iterations, self.scene.steps), 1)
+        return min(int(self.steps_done) // interval, self.config.sh_degree)
+
+    def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
+        """λ2 · L_VGG (Eq.
+
+        16) on the whole image or, with the chance of a crop, on that crop at 1/chance of the weight.
+        """
+        if not self._perceptual:
+            self._perceptual.append(perceptual_loss().to(frame.image.device))
+        weight, window = self.config.perceptual_weight, (slice(None), slice(None))
+        if self.config.perceptual_mode == "crops":
+            height, width = frame.image.shape[:2]
+            boxes = region_boxes(self.head, frame)
+            drawn = self.crops.draw(height, width, seeded(self.scene.seed, 3, step), boxes)
+            if drawn is None:
+                return {}
+            window, weight = drawn, weight / self.crops.probability
+        return {"perceptual": weight * self._perceptual[0](rendering.image[window], frame.image[window])}
+
+
+def first_rows(config: Config, head: HeadModel, generator: torch.Generator) -> Rows:
+    """One Gaussian at the centroid of every triangle, as large as it, nearly transparent and grey (GaussianAvatars)."""
+    count, device = len(head.faces), head.faces.device
+    grey = torch.rand(count, 1, 3, generator=generator) / 255
+    learnable = {
+        "means": Column(torch.zeros(count, 3), config.position_rate * config.extent),
+        "quats": Column(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), config.rotation_rate),
+        "log_scales": Column(torch.zeros(count, 3), config.scale_rate),
+        "opacity_logits": Column(torch.full((count,), 0.1).logit(), config.opacity_rate),
+        "sh": Column(grey, config.color_rate),
+    }
+    if config.sh_degree:
+        learnable["sh_rest"] = Column(torch.zeros(count, (config.sh_degree + 1) ** 2 - 1, 3), config.color_rate / 20)
+    carried = {"face": torch.arange(count), **statistics(count)}
+    moved = {name: Column(column.values.to(device), column.rate) for name, column in learnable.items()}
+    return Rows(moved, {name: values.to(device) for name, values in carried.items()})
+
+
+def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
+    """The Geometry Morph Adjuster around the neutral head; it starts as the identity."""
+    generator = seeded(scene.seed, 5)
+    box = Box.around(scene.head.neutral())
+    sizes = HashTriplaneConfig(levels=config.field_levels, features=config.field_features, finest=config.field_finest)
+    field: Field = (
+        HashTriplane(sizes, box, generator) if config.field == "triplane" else FourierFeatures(box, config.octaves)
+    )
+    conditions = len(scene.head.condition(scene.head.neutral_drive()))
+    return BasisAdjuster(
+        field, conditions, AdjusterConfig(config.latent, config.hidden, config.latent_hidden), generator
+    ).to(scene.background.device)
+
+
+def adjuster_optimizer(config: Config, adjuster: BasisAdjuster) -> torch.optim.Optimizer:
+    """Adam with the paper's two rates (Sec. 3.5); the tables, whose gradients are tiny, with instant-ngp's ε (A31)."""
+    tables = [value for name, value in adjuster.named_parameters() if name.startswith("field.")]
+    networks = [value for name, value in adjuster.named_parameters() if not name.startswith("field.")]
+    groups = [{"params": networks, "lr": config.network_rate, "eps": 1e-8}]
+    if tables:
+        groups.append({"params": tables, "lr": config.field_rate, "eps": 1e-15})
+    return torch.optim.Adam(groups, betas=(0.9, 0.999), fused=True)
+
+
+def density_control(config: Config, scene: Scene) -> DensityControl:
+    """The paper's density schedule scaled to this training; short trainings keep enough rounds and drop the resets."""
+    start, stop = scaled(config.density_start, scene.steps), scaled(config.density_stop, scene.steps)
+    interval = max(min(max(20, scaled(config.density_interval, scene.steps)), (stop - start) // 30), 10)
+    return DensityControl(
+        start=start,
+        stop=stop,
+        interval=interval,
+        reset_interval=max(scaled(config.reset_iterations, scene.steps), 10 * interval),
+        resetting=scene.steps >= PAPER_STEPS // 10,
+        reset_at_start=bool((scene.background > 0.99).all()),
+        gradient=config.density_gradient,
+        extent=config.extent,
+        budget=scene.max_gaussians,
+    )
+
+
+def position_rate(config: Config, scene: Scene, step: int) -> float:
+    """Learning rate of local positions after `step` steps."""
+    first = config.position_rate * config.extent
+    return log_linear(step, first, first * config.position_decay, scaled(config.position_iterations, scene.steps))
+
+
+@torch.no_grad()
+def region_boxes(head: HeadModel, frame: Frame) -> list[tuple[float, float, float, float]]:
+    """Bounding boxes of mouth and eyes in the image, px, where the head names these regions."""
+    names = [name for name in ("mouth", "lips", "eyes", "left_eye", "right_eye") if name in head.regions]
+    if not names:
+        return []
+    seen = project(head.vertices(frame.drive), frame.camera.intrinsics, frame.camera.world_to_camera)
+    boxes = [torch.cat((seen[head.regions[name]].amin(0), seen[head.regions[name]].amax(0))).tolist() for name in names]
+    return [(left, top, right, bottom) for left, top, right, bottom in boxes]

@@ -1,0 +1,91 @@
+"""Which methods there are: a file in `ggavatar/methods/` is a method and gives it its name.
+
+Its VARIANTS are further methods, named `file_variant`.
+
+A method's file offers `Config` (a frozen dataclass), `build(config, scene) -> Avatar`, `VARIANTS` (overrides of
+Config by variant) and, if it wants, `PRESETS` (overrides of Config by preset). Names and descriptions are read from
+the source; a method is imported when it is used.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ggavatar.errors import InputError
+from ggavatar.settings import from_plain, nearest, override
+
+FOLDER = Path(__file__).parent / "methods"
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method or one of its variants, ready to be built.
+
+    Attributes:
+        name: What the command line calls it.
+        module: The file, imported.
+        overrides: What the variant changes in its `Config`.
+    """
+
+    name: str
+    module: ModuleType
+    overrides: Mapping[str, Any]
+
+    def config(self, preset: str = "default", assignments: Sequence[str] = ()) -> Any:
+        """The configuration for a preset, with the variant's and then the user's `name=value` overrides."""
+        preset_values = getattr(self.module, "PRESETS", {}).get(preset, {})
+        config = self.module.Config(**{**preset_values, **self.overrides})
+        return override(config, assignments, f"method {self.name}") if assignments else config
+
+    def config_from(self, values: Mapping[str, Any], where: str) -> Any:
+        """A configuration read from JSON, every name and type checked."""
+        return from_plain(self.module.Config, values, where)
+
+    def build(self, config: Any, scene: Any) -> Any:
+        """The avatar before its first step."""
+        return self.module.build(config, scene)
+
+
+def names() -> dict[str, str]:
+    """Every command-line name with its one-line description, in alphabetical order, variants after their method."""
+    found = {}
+    for path in sorted(FOLDER.glob("*.py")):
+        if not path.stem.startswith("_"):
+            description, variants = _describe(path)
+            found[path.stem] = description
+            found.update(
+                {f"{path.stem}_{variant}": f"{path.stem}, {variant.replace('_', ' ')}" for variant in variants}
+            )
+    return found
+
+
+def load(name: str) -> Method:
+    """Import a method by its command-line name; `InputError` with the nearest known name if there is none."""
+    known = names()
+    if name not in known:
+        raise InputError(f"unknown method {name!r}{nearest(name, known)}; known are {', '.join(known)}")
+    stem = max(
+        (path.stem for path in FOLDER.glob("*.py") if name == path.stem or name.startswith(path.stem + "_")), key=len
+    )
+    module = importlib.import_module(f"ggavatar.methods.{stem}")
+    return Method(name, module, {} if name == stem else module.VARIANTS[name.removeprefix(stem + "_")])
+
+
+def _describe(path: Path) -> tuple[str, list[str]]:
+    """First line of a method's docstring and the names of its variants, without importing it."""
+    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    variants: list[str] = []
+    for node in tree.body:
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(node.value, ast.Dict):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            if any(isinstance(target, ast.Name) and target.id == "VARIANTS" for target in targets):
+                variants = [
+                    key.value for key in node.value.keys if isinstance(key, ast.Constant) and isinstance(key.value, str)
+                ]
+    return (ast.get_docstring(tree) or "").split("\n")[0], variants

@@ -1,0 +1,152 @@
+"""Rows: tensors that share their first dimension, one row a Gaussian, together with the state of their optimiser.
+
+Learnable columns are optimised, each with its own rate; carried columns (a face index, a statistic) merely follow.
+Adding and removing rows keeps the moments of the survivors and starts the newborn at zero, as in 3D Gaussian
+Splatting's density control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Int
+from torch import Tensor, nn
+
+
+class Column(NamedTuple):
+    """A learnable column to begin with.
+
+    Attributes:
+        values: First dimension is the row.
+        rate: Learning rate, in units of the column.
+    """
+
+    values: Tensor
+    rate: float
+
+
+class Rows(nn.Module):
+    """Row-aligned learnable and carried columns with one optimiser for all learnable ones.
+
+    The number of rows is part of the state: `load_state_dict` accepts any and resizes this object to it.
+    """
+
+    def __init__(
+        self,
+        learnable: Mapping[str, Column],
+        carried: Mapping[str, Tensor] | None = None,
+        make_optimizer: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None,
+    ) -> None:
+        """Build the columns and their optimiser.
+
+        Args:
+            learnable: Columns to optimise, by name.
+            carried: Columns that follow the rows without being optimised, by name.
+            make_optimizer: From parameter groups (`params`, `lr`, `name`); Adam with ε = 1e-15 (3DGS) by default.
+        """
+        super().__init__()
+        self.learnable = nn.ParameterDict(
+            {name: nn.Parameter(column.values.detach().clone()) for name, column in learnable.items()}
+        )
+        self.carried = nn.Module()
+        for name, values in (carried or {}).items():
+            self.carried.register_buffer(name, values.detach().clone())
+        counts = {name: len(values) for name, values in self.columns().items()}
+        if len(set(counts.values())) != 1:
+            raise ValueError(f"expected columns of equal length, got {counts}")
+        groups = [
+            {"params": [self.learnable[name]], "lr": column.rate, "name": name} for name, column in learnable.items()
+        ]
+        self.optimizer = (make_optimizer or _adam)(groups)
+        self.register_load_state_dict_pre_hook(_resize_to_state)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.learnable.values())))
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self.learnable[name] if name in self.learnable else self.carried.get_buffer(name)
+
+    def columns(self) -> dict[str, Tensor]:
+        """Every column by name, learnable ones first."""
+        return {**dict(self.learnable.items()), **dict(self.carried.named_buffers())}
+
+    def set_rate(self, name: str, rate: float) -> None:
+        """Change the learning rate of a learnable column."""
+        self._group(name)["lr"] = rate
+
+    def rate(self, name: str) -> float:
+        """Learning rate of a learnable column."""
+        return float(self._group(name)["lr"])
+
+    @torch.no_grad()
+    def take(self, index: Int[Tensor, " M"]) -> None:
+        """Keep the rows of `index`, in its order; their optimiser state stays theirs."""
+        self._transform(lambda _, values: values[index], lambda moments: moments[index])
+
+    @torch.no_grad()
+    def append(self, newborn: Mapping[str, Tensor]) -> None:
+        """Add rows at the end; their moments are zero.
+
+        Args:
+            newborn: Values of every column by name.
+
+        Raises:
+            ValueError: If a column is missing or unknown.
+        """
+        if set(newborn) != set(self.columns()):
+            raise ValueError(f"expected the columns {sorted(self.columns())}, got {sorted(newborn)}")
+        count = len(next(iter(newborn.values())))
+        self._transform(
+            lambda name, values: torch.cat((values, newborn[name].to(values.dtype))),
+            lambda moments: torch.cat((moments, moments.new_zeros(count, *moments.shape[1:]))),
+        )
+
+    @torch.no_grad()
+    def replace(self, name: str, values: Tensor) -> None:
+        """Overwrite a learnable column and zero its moments."""
+        self.learnable[name].copy_(values)
+        for moments in self._row_state(self.learnable[name]).values():
+            moments.zero_()
+
+    def _transform(self, column: Callable[[str, Tensor], Tensor], moments: Callable[[Tensor], Tensor]) -> None:
+        """Put every column and every row-aligned tensor of the optimiser through a function."""
+        for group in self.optimizer.param_groups:
+            name, old = group["name"], group["params"][0]
+            new = nn.Parameter(column(name, old.detach()).contiguous(), requires_grad=old.requires_grad)
+            followers = {key: moments(value).contiguous() for key, value in self._row_state(old).items()}
+            state = self.optimizer.state.pop(old, None)
+            if state is not None:
+                self.optimizer.state[new] = {**state, **followers}
+            group["params"][0] = new
+            self.learnable[name] = new
+        for name, values in list(self.carried.named_buffers()):
+            setattr(self.carried, name, column(name, values))
+
+    def _row_state(self, parameter: nn.Parameter) -> dict[str, Tensor]:
+        """What the optimiser remembers of each row of a parameter."""
+        state = self.optimizer.state.get(parameter, {})
+        return {
+            key: value
+            for key, value in state.items()
+            if isinstance(value, Tensor) and value.dim() and len(value) == len(parameter)
+        }
+
+    def _group(self, name: str) -> dict[str, Any]:
+        for group in self.optimizer.param_groups:
+            if group["name"] == name:
+                return group
+        raise KeyError(f"expected a column of {[g['name'] for g in self.optimizer.param_groups]}, got {name!r}")
+
+
+def _adam(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
+    return torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15, fused=True)
+
+
+def _resize_to_state(rows: nn.Module, state: Mapping[str, Tensor], prefix: str, *_: Any) -> None:
+    """Before loading: give the rows the number of the state, so that sizes match."""
+    assert isinstance(rows, Rows)
+    saved = next((values for key, values in state.items() if key.startswith(prefix + "learnable.")), None)
+    if saved is not None and len(saved) != len(rows):
+        rows.take(torch.zeros(len(saved), dtype=torch.int64, device=next(rows.parameters()).device))

@@ -1,0 +1,267 @@
+"""The run folder: what a training writes and what evaluation, rendering and resuming open.
+
+run/
+  config.json        everything that decides the training, plain data
+  provenance.json    versions, command line, device, digests, time and memory
+  split.json         the frames trained on and tested on
+  checkpoints/       step-000006000.safetensors and .json
+  metrics/           train.jsonl, eval.jsonl
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ggavatar import registry
+from ggavatar.arrays import write_atomically
+from ggavatar.batches import Frames, spaced
+from ggavatar.capture import Capture
+from ggavatar.checkpoint import load_checkpoint, unpack_avatar
+from ggavatar.core import Frame, Rasterizer
+from ggavatar.errors import InputError
+from ggavatar.head.files import load_head
+from ggavatar.render.pick import pick
+from ggavatar.scene import Scene
+from ggavatar.schedule import Training
+from ggavatar.settings import from_plain, to_plain
+from ggavatar.splits import Split, split_frames, split_name
+
+SCHEMA, VERSION = "ggavatar-run", 1
+SAMPLES, SAMPLE_SIDE = 16, 256
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that decides a training, as in config.json."""
+
+    method: str
+    """Command-line name of the method or variant."""
+    capture: str
+    """Folder of the capture, absolute."""
+    split: str = "every-20th"
+    """Name of the split in capture.json, or the rule that made it."""
+    background: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """sRGB in [0, 1]."""
+    seed: int = 42
+    """From which every random number derives."""
+    device: str = "cpu"
+    """Where it is trained."""
+    backend: str = "auto"
+    """The rasteriser."""
+    preset: str = "default"
+    """Where the other values come from."""
+    training: Training = field(default_factory=Training)
+    """The plan of the loop."""
+    method_config: dict[str, Any] = field(default_factory=dict)
+    """Every setting of the method."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trained avatar with all that is needed to draw and measure it.
+
+    Attributes:
+        folder: Where it lies.
+        method: Its command-line name.
+        avatar: In evaluation mode, on the device asked for.
+        capture: What it was trained on.
+        split: Frames trained on and tested on.
+        background: Colour it was trained on, sRGB.
+        rasterize: The renderer for the device.
+        config: config.json.
+        provenance: provenance.json.
+        step: Steps trained.
+    """
+
+    folder: Path
+    method: str
+    avatar: Any
+    capture: Capture
+    split: Split
+    background: Tensor
+    rasterize: Rasterizer
+    config: RunConfig
+    provenance: dict[str, Any]
+    step: int
+    reader: Frames
+
+    def frames(self, numbers: Iterable[int]) -> Iterator[Frame]:
+        """Frames by source number, at the capture's size, composited on the run's background; a few are read ahead."""
+        size = (self.capture.width, self.capture.height)
+        yield from self.reader.stream((number, *size) for number in numbers)
+
+
+def open_run(
+    folder: Path | str,
+    device: str = "cpu",
+    step: int | None = None,
+    backend: str = "auto",
+    capture: Path | str | None = None,
+) -> Run:
+    """Open a run folder.
+
+    Args:
+        folder: The run.
+        device: Where to draw.
+        step: Which checkpoint; None is the newest complete one.
+        backend: The rasteriser, as in `ggavatar.render.pick`.
+        capture: Where the capture lies now, if it was moved.
+
+    Raises:
+        InputError: Not a run, its capture is gone, or it has no such checkpoint.
+    """
+    folder = Path(folder)
+    config = read_config(folder)
+    opened = Capture.open(capture or find_capture(folder, config))
+    tensors, record = load_checkpoint(folder / "checkpoints", step)
+    split = read_split(folder)
+    scene, reader = assemble(config, opened, split, device)
+    method = registry.load(config.method)
+    avatar = method.build(method.config_from(config.method_config, str(folder / "config.json")), scene)
+    unpack_avatar(avatar, tensors)
+    return Run(
+        folder=folder,
+        method=config.method,
+        avatar=avatar.eval(),
+        capture=opened,
+        split=split,
+        background=scene.background,
+        rasterize=pick(device, backend),
+        config=config,
+        provenance=_read(folder / "provenance.json"),
+        step=record["step"],
+        reader=reader,
+    )
+
+
+def assemble(
+    config: RunConfig, capture: Capture, split: Split, device: str, rasterize: Rasterizer | None = None
+) -> tuple[Scene, Frames]:
+    """What a method is built from and where its frames come from; with a rasteriser, as for a training's first step."""
+    head = load_head(capture.head_path).to(device, torch.float32)
+    background = torch.tensor(config.background, device=device)
+    reader = Frames(capture, head, background, device, config.training.cache_mib)
+    samples: tuple[Frame, ...] = ()
+    if rasterize is not None:
+        factor = min(1.0, SAMPLE_SIDE / min(capture.width, capture.height))
+        size = (round(capture.width * factor), round(capture.height * factor))
+        samples = tuple(reader.frame(number, *size) for number in spaced(split.train, SAMPLES))
+    scene = Scene(
+        head=head,
+        drives=tuple(reader.drive(number) for number in split.train),
+        cameras=tuple(reader.camera(number) for number in split.train),
+        background=background,
+        steps=config.training.steps,
+        seed=config.seed,
+        max_gaussians=config.training.max_gaussians,
+        samples=samples,
+        rasterize=rasterize,
+    )
+    return scene, reader
+
+
+def create_folder(folder: Path, overwrite: bool) -> None:
+    """Make room for a new run; refuses a folder that holds something unless it is a run and `overwrite` is set."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder for the run, found a file; choose another with -o")
+    if folder.exists() and any(folder.iterdir()):
+        if not overwrite:
+            raise InputError(
+                f"{folder}: exists already; pass --resume to go on, --overwrite to begin again, or another -o"
+            )
+        read_config(folder)
+        _remove_own_files(folder)
+    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+    (folder / "metrics").mkdir(exist_ok=True)
+
+
+def _remove_own_files(folder: Path) -> None:
+    """Remove what a training wrote, file by file; nothing else in the folder is touched."""
+    own = [
+        *folder.glob("checkpoints/step-*.json"),
+        *folder.glob("checkpoints/step-*.safetensors"),
+        *folder.glob("metrics/*.jsonl"),
+    ]
+    for path in [*own, *(folder / name for name in ("config.json", "provenance.json", "split.json"))]:
+        path.unlink(missing_ok=True)
+
+
+def write_config(folder: Path, config: RunConfig, split: Split) -> None:
+    """Write config.json and split.json."""
+    capture = Path(config.capture)
+    relative = os.path.relpath(capture, folder.resolve())
+    write_json(folder / "split.json", {"name": config.split, "train": list(split.train), "test": list(split.test)})
+    write_json(
+        folder / "config.json", {"schema": SCHEMA, "version": VERSION, "capture_relative": relative, **to_plain(config)}
+    )
+
+
+def read_config(folder: Path) -> RunConfig:
+    """Read config.json; `InputError` if the folder is no run or of a version not known here."""
+    path = folder / "config.json"
+    if not path.exists():
+        raise InputError(f"{folder}: expected a run folder written by ggavatar-train, found no config.json in it")
+    values = _read(path)
+    if values.get("schema") != SCHEMA or values.get("version") != VERSION:
+        raise InputError(
+            f"{path}: expected schema {SCHEMA} version {VERSION}, found {values.get('schema')} {values.get('version')}"
+        )
+    own = {name: value for name, value in values.items() if name not in ("schema", "version", "capture_relative")}
+    missing = [f.name for f in dataclasses.fields(RunConfig) if f.default is f.default_factory and f.name not in own]
+    if missing:
+        raise InputError(f"{path}: expected the fields {', '.join(missing)}; the file is damaged")
+    return from_plain(RunConfig, own, str(path))
+
+
+def find_capture(folder: Path, config: RunConfig) -> Path:
+    """The capture of a run: where it was, or in the same place relative to the run."""
+    moved = folder / str(_read(folder / "config.json").get("capture_relative", ""))
+    for path in (Path(config.capture), moved):
+        if (path / "capture.json").exists():
+            return path
+    raise InputError(f"{folder}: its capture {config.capture} is not there any more, nor {moved}; move it back")
+
+
+def choose_split(capture: Capture, rule: str) -> tuple[str, Split]:
+    """A split of a capture by name, or by a rule that the capture does not list."""
+    name = split_name(rule)
+    if name in capture.splits and not rule.startswith("file:"):
+        return name, capture.splits[name]
+    return rule, split_frames(capture.frames, rule)
+
+
+def read_split(folder: Path) -> Split:
+    """Read split.json."""
+    path = folder / "split.json"
+    values = _read(path)
+    try:
+        return Split(tuple(map(int, values["train"])), tuple(map(int, values["test"])))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: expected lists train and test of frame numbers ({error!r})") from error
+
+
+def write_json(path: Path, values: dict[str, Any]) -> None:
+    """Write JSON atomically."""
+    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file; the folder is not a complete run") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not valid JSON ({error})") from error
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: expected a JSON object, found {type(values).__name__}")
+    return values

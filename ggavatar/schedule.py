@@ -1,0 +1,97 @@
+"""When things happen.
+
+The paper's iteration constants scaled to any length, rates that decay, and resolution from coarse to fine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+PAPER_STEPS = 120_000
+"""Length of the training all constants of the paper refer to (Sec. 3.5)."""
+
+
+def scaled(iteration: int, steps: int) -> int:
+    """An iteration constant of the paper's 120,000 scaled to a training of `steps`."""
+    return round(iteration * steps / PAPER_STEPS)
+
+
+def log_linear(step: int, first: float, last: float, steps: int) -> float:
+    """A rate that falls exponentially from `first` at step 0 to `last` at `steps` and stays there (3DGS)."""
+    share = min(max(step / max(steps, 1), 0.0), 1.0)
+    return math.exp((1 - share) * math.log(first) + share * math.log(last))
+
+
+def seeded(seed: int, *stream: int) -> torch.Generator:
+    """A generator that depends on a seed and on what it is for alone (a step, an epoch).
+
+    A resumed training therefore needs no state of it.
+    """
+    mixed = seed & 0xFFFFFFFFFFFFFFFF
+    for number in stream:
+        mixed = (mixed * 6364136223846793005 + number * 1442695040888963407 + 1) & 0xFFFFFFFFFFFFFFFF
+        mixed ^= mixed >> 33
+    return torch.Generator().manual_seed(mixed & 0x7FFFFFFFFFFFFFFF)
+
+
+@dataclass(frozen=True)
+class Training:
+    """The part of a training that no method knows about."""
+
+    steps: int = 6_000
+    """Length, steps; every schedule scales with it. 120,000 in the paper."""
+    resolutions: tuple[tuple[float, float], ...] = ((0.25, 0.25), (0.25, 0.5))
+    """Coarse to fine: pairs (share of the steps, share of the size), then full size. Empty in the paper."""
+    smallest: int = 128
+    """No side gets smaller than this by `resolutions`, px."""
+    eval_every: int = 1_000
+    """Steps between two looks at test frames; 0 is never."""
+    eval_frames: int = 4
+    """Test frames looked at each time."""
+    save_every: int = 1_000
+    """Steps between two checkpoints; one is always written at the end."""
+    log_every: int = 10
+    """Steps between two lines in metrics/train.jsonl."""
+    max_gaussians: int = 40_000
+    """Largest number of Gaussians."""
+    cache_mib: int = 1024
+    """Memory for decoded frames, MiB."""
+    bad_steps: int = 10
+    """Steps with numbers that are not finite, in all, after which the training gives up."""
+
+    def size_at(self, step: int, width: int, height: int) -> tuple[int, int]:
+        """Width and height to train at in a step (from 1), px, for frames of `width` × `height`."""
+        passed = 0.0
+        for share, size in self.resolutions:
+            passed += share
+            if step <= passed * self.steps:
+                factor = min(max(size, self.smallest / min(width, height)), 1.0)
+                return round(width * factor), round(height * factor)
+        return width, height
+
+
+def preset(name: str, device: str) -> Training:
+    """The plan of a preset.
+
+    Args:
+        name: `default`, what a user should run on the device at hand; `fast`, a look within minutes; `paper`, the
+            printed schedule.
+        device: `cpu` or another.
+    """
+    if name == "paper":
+        return Training(
+            PAPER_STEPS,
+            resolutions=(),
+            eval_every=5_000,
+            eval_frames=8,
+            save_every=5_000,
+            log_every=100,
+            max_gaussians=1_000_000,
+        )
+    if device != "cpu":
+        steps = 30_000 if name == "default" else 5_000
+        return Training(steps, resolutions=(), eval_frames=8, save_every=2_500, max_gaussians=200_000)
+    return Training() if name == "default" else Training(1_500, eval_every=500, save_every=500, max_gaussians=20_000)
