@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from ggavatar.errors import InputError
 Color = tuple[float, float, float]
 
 
+@runtime_checkable
 class Pictures(Protocol):
     """The part of `ggavatar.capture.Capture` that holds pictures."""
 

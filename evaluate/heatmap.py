@@ -13,7 +13,7 @@ LIMITS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 COLORMAP = "inferno"
 
 
-def error_map(image: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
+def error_map(image: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "H W"]:
     """Mean absolute difference over the three channels, in [0, 1].
 
     Raises:

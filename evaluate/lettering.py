@@ -42,7 +42,8 @@ def put(
 ) -> None:
     """Ink a coverage onto `image` in place; what falls outside is cut off."""
     first_row, first_column = max(0, -top), max(0, -left)
-    part = covered[first_row : image.shape[0] - top, first_column : image.shape[1] - left, None]
+    rows, columns = max(0, image.shape[0] - top), max(0, image.shape[1] - left)
+    part = covered[first_row:rows, first_column:columns, None]
     if part.size == 0:
         return
     row, column = max(0, top), max(0, left)

@@ -16,8 +16,8 @@ from evaluate.orbit import turned
 from evaluate.sheet import Row, resized, sheet
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 
-YAWS = (-40, -25, -12, 0, 12, 25, 40)
-PITCHES = (-25, -16, -8, 0, 8, 16, 25)
+YAWS = (-40.0, -25.0, -12.0, 0.0, 12.0, 25.0, 40.0)
+PITCHES = (-25.0, -16.0, -8.0, 0.0, 8.0, 16.0, 25.0)
 
 
 @torch.no_grad()
@@ -51,7 +51,7 @@ def novel_views(
     background: Color = (1.0, 1.0, 1.0),
     width: int = 256,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """Seven views about the vertical and seven about the horizontal axis of the image; the middle ones are the frame itself.
+    """Seven views about the vertical and seven about the horizontal axis of the image; the middle is the frame itself.
 
     Args:
         avatar: Poses the Gaussians.
@@ -63,7 +63,7 @@ def novel_views(
     over_y = views_at(avatar, rasterize, pose, [(yaw, 0.0) for yaw in YAWS], background)
     over_x = views_at(avatar, rasterize, pose, [(0.0, pitch) for pitch in PITCHES], background)
     rows = [
-        Row([resized(image, width) for image in over_y], "turned over y", [f"{angle:+d}°" for angle in YAWS]),
-        Row([resized(image, width) for image in over_x], "turned over x", [f"{angle:+d}°" for angle in PITCHES]),
+        Row([resized(image, width) for image in over_y], "turned over y", [f"{angle:+.0f}°" for angle in YAWS]),
+        Row([resized(image, width) for image in over_x], "turned over x", [f"{angle:+.0f}°" for angle in PITCHES]),
     ]
     return sheet(rows, note="0° is the camera of the frame; the expression is held")

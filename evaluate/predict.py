@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, runtime_checkable
 from typing import Protocol as Interface
 
 import numpy as np
@@ -32,6 +32,7 @@ SUMMARY = "predict.json"
 Progress = Callable[[int, int], None]
 
 
+@runtime_checkable
 class Poses(Interface):
     """Drives and cameras by source frame number, as `ggavatar.batches.Frames` has them."""
 
@@ -44,6 +45,7 @@ class Poses(Interface):
         ...
 
 
+@runtime_checkable
 class Renderable(Interface):
     """The part of `ggavatar.runs.Run` that predicting needs."""
 

@@ -65,7 +65,7 @@ def transferred(driver: Motion, driver_neutral: int, target: Motion, target_neut
     """
     steady = _steadied(driver, driver_neutral, how.smooth)
     rest, goal = steady.rows(_only(driver_neutral)), target.rows(_only(target_neutral))
-    moved = dataclasses.replace(steady, cameras=_cameras(steady.cameras, rest.cameras, goal.cameras, how.pose))
+    moved = dataclasses.replace(steady, cameras=_cameras(steady, rest.cameras, goal.cameras, how.pose))
     if how.expression == "relative":
         moved = dataclasses.replace(
             moved,
@@ -98,18 +98,22 @@ def _turned(rotations: Float[np.ndarray, "T 3"], rest: np.ndarray, goal: np.ndar
     return (turn * Rotation.from_rotvec(goal)).as_rotvec()
 
 
-def _cameras(driver: Cameras | None, rest: Cameras | None, goal: Cameras | None, pose: str) -> Cameras | None:
+def _cameras(steady: Motion, rest: Cameras | None, goal: Cameras | None, pose: str) -> Cameras | None:
     """The target's camera: turned as the driver's from its neutral frame, and moved by as much of the picture."""
-    if goal is None or driver is None or rest is None:
-        return goal
-    count = len(driver.world_to_camera)
-    views = driver.world_to_camera if pose == "absolute" else np.repeat(goal.world_to_camera, count, axis=0)
+    if goal is None:
+        return None
+    driver, count = steady.cameras, len(steady.frames)
+    still = np.repeat(goal.world_to_camera, count, axis=0)
+    intrinsics = np.repeat(goal.intrinsics, count, axis=0)
+    if driver is None or rest is None or pose == "still":
+        return Cameras(still, intrinsics, goal.size)
+    views = driver.world_to_camera if pose == "absolute" else still
     if pose == "relative":
         turn = driver.world_to_camera[:, :3, :3] @ rest.world_to_camera[0, :3, :3].T
         change = driver.world_to_camera[:, :3, 3] - rest.world_to_camera[0, :3, 3]
         views[:, :3, :3] = turn @ goal.world_to_camera[0, :3, :3]
         views[:, :3, 3] += change * (goal.metres_across() / rest.metres_across())
-    return Cameras(views, np.repeat(goal.intrinsics, count, axis=0), goal.size)
+    return Cameras(views, intrinsics, goal.size)
 
 
 def _steadied(motion: Motion, neutral: int, method: str) -> Motion:
@@ -167,7 +171,7 @@ def limited(motion: Motion, seen: Motion, neutral: int, margin: float) -> Motion
 def soft_clip(
     values: Float[np.ndarray, "T D"], seen: Float[np.ndarray, "S D"], margin: float
 ) -> Float[np.ndarray, "T D"]:
-    """Identity within the range of `seen` per column; beyond it a hyperbolic tangent that ends `margin` widths further out."""
+    """Identity within the range of `seen` per column; beyond it a hyperbolic tangent that ends `margin` widths out."""
     low, high = seen.min(axis=0), seen.max(axis=0)
     zone = margin * np.maximum(high - low, np.median(high - low) if values.shape[1] else 0.0) + 1e-9
     inside = np.clip(values, low, high)

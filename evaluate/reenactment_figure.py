@@ -12,15 +12,15 @@ from evaluate.sheet import Row, resized, sheet
 
 
 def reenactment(
-    driver: Sequence[UInt8[np.ndarray, "H W 3"]],
-    results: Mapping[str, Sequence[UInt8[np.ndarray, "H W 3"]]],
+    driver: Sequence[np.ndarray],
+    results: Mapping[str, Sequence[np.ndarray]],
     captions: Sequence[str] = (),
     width: int = 256,
 ) -> UInt8[np.ndarray, "H W 3"]:
     """One column a frame.
 
     Args:
-        driver: Frames of the driving person; empty when there are only parameters.
+        driver: Frames of the driving person, 8-bit RGB; empty when there are only parameters.
         results: The avatars' pictures of the same frames, by the label of their row.
         captions: Under the driver's frames, such as frame numbers.
         width: Of one picture, px.
@@ -44,6 +44,7 @@ def telling_rows(motion: Motion, count: int) -> list[int]:
     chosen = [int(np.argmax(np.linalg.norm(features, axis=1)))]
     while len(chosen) < min(count, len(features)):
         nearest = np.min([np.linalg.norm(features - features[row], axis=1) for row in chosen], axis=0)
+        nearest[chosen] = -1.0
         chosen.append(int(np.argmax(nearest)))
     return sorted(set(chosen))
 

@@ -36,9 +36,9 @@ def one_euro(
     return filtered
 
 
-def _share(cutoff: float | np.ndarray, fps: float) -> np.ndarray:
+def _share(cutoff: float | np.ndarray, fps: float) -> float | np.ndarray:
     """Weight of the newest value in an exponential filter of a cutoff, Hz."""
-    radians = 2 * np.pi * np.asarray(cutoff) / fps
+    radians = 2 * np.pi * cutoff / fps
     return radians / (1 + radians)
 
 

@@ -1,0 +1,63 @@
+"""Videos, read back with PyAV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from evaluate.frame_files import frame_file
+from evaluate.video import playback_fps, write_side_by_side, write_video
+from ggavatar.errors import InputError
+from ggavatar.pictures import write_png
+
+
+def decoded(path: Path) -> tuple[list[np.ndarray], float]:
+    with av.open(str(path)) as container:
+        rate = float(container.streams.video[0].average_rate or 0)
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)], rate
+
+
+def test_colors_survive_and_odd_sizes_are_padded(tmp_path: Path) -> None:
+    colors = [(200, 40, 30), (20, 180, 60), (250, 250, 250), (0, 0, 0)]
+    write_video(tmp_path / "v.mp4", (np.full((33, 47, 3), color, np.uint8) for color in colors), 12.5)
+    images, rate = decoded(tmp_path / "v.mp4")
+    assert rate == pytest.approx(12.5) and [image.shape for image in images] == [(34, 48, 3)] * 4
+    for image, color in zip(images, colors, strict=True):
+        assert np.abs(image.astype(int) - color).max() <= 4
+    assert [path.name for path in tmp_path.iterdir()] == ["v.mp4"]
+
+
+def test_a_failed_video_leaves_nothing(tmp_path: Path) -> None:
+    def breaking() -> object:
+        yield np.zeros((16, 16, 3), np.uint8)
+        raise RuntimeError("the renderer failed")
+
+    with pytest.raises(RuntimeError, match="renderer failed"):
+        write_video(tmp_path / "v.mp4", breaking(), 25.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="at least one picture"):
+        write_video(tmp_path / "v.mp4", iter(()), 25.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_splits_with_gaps_play_slower() -> None:
+    assert playback_fps([7, 8, 9, 12], 25.0) == 25
+    assert playback_fps([0, 20, 40], 25.0) == 4
+    assert playback_fps([3], 25.0) == 4
+
+
+def test_side_by_side_has_truth_render_and_error(tmp_path: Path) -> None:
+    for frame, level in ((0, 60), (20, 180)):
+        write_png(frame_file(tmp_path / "truth", frame), np.full((64, 64, 3), 120, np.uint8))
+        write_png(frame_file(tmp_path / "render", frame), np.full((64, 64, 3), level, np.uint8))
+    steps: list[int] = []
+    write_side_by_side(
+        tmp_path / "side.mp4", tmp_path / "render", tmp_path / "truth", progress=lambda done, total: steps.append(done)
+    )
+    images, rate = decoded(tmp_path / "side.mp4")
+    assert len(images) == 2 and rate == 4 and steps == [1, 2] and images[0].shape[1] == 192
+    middle = images[1].shape[0] // 2
+    assert abs(int(images[1][middle, 32, 0]) - 120) < 6 and abs(int(images[1][middle, 96, 0]) - 180) < 6
+    assert int(images[1][middle, 160].sum()) > 300, "an error of 60 of 255 is far up the scale"
