@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import torch
 
 
@@ -80,6 +81,20 @@ def run(task: Callable[[int], None], count: int) -> None:
     for helper in helpers:
         if not helper.cancel():
             helper.result()
+
+
+def workers() -> int:
+    """How many threads `share` uses at most."""
+    return torch.get_num_threads()
+
+
+def share(function: Callable[..., Any], pieces: int, *arguments: Any) -> None:
+    """Let the threads call `function(tickets, *arguments)`, which takes pieces of work by raising `tickets[0]` until none is left.
+
+    `tickets[1]` numbers the workers, for scratch memory of their own. This costs one call per thread, where `run` costs one per piece.
+    """
+    tickets = np.zeros(2, np.int64)
+    run(lambda _: function(tickets, *arguments), min(workers(), pieces))
 
 
 def announce(what: str) -> None:

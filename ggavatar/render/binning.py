@@ -1,0 +1,106 @@
+"""Which Gaussians touch which tile, front to back: one radix sort of depths, then a stable counting sort into tiles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ggavatar.compiled import inlined, kernel
+from ggavatar.render.cpu_projection import DEPTH, RECORD
+from ggavatar.render.memory import float_bits
+
+DIGIT_BITS = 11
+DIGITS = 1 << DIGIT_BITS
+
+
+class Bins(NamedTuple):
+    """Lists of Gaussians per tile.
+
+    `starts` [tiles + 1] into `gaussians` [M]; `slots` [N + 1] into `entries` [M], which gives for the tiles of one Gaussian
+    in a row their places in `gaussians`.
+    """
+
+    starts: np.ndarray
+    gaussians: np.ndarray
+    slots: np.ndarray
+    entries: np.ndarray
+
+
+@inlined
+def box_of(boxes, index):
+    """Left, top, right and bottom tile of a Gaussian."""
+    place = index * 4
+    return np.int64(boxes[place]), np.int64(boxes[place + 1]), np.int64(boxes[place + 2]), np.int64(boxes[place + 3])
+
+
+@kernel
+def count_tiles(boxes, tiles_x, starts, slots):
+    """Count the Gaussians of every tile and the tiles of every Gaussian, both as running sums; returns the visible Gaussians."""
+    starts[:] = 0
+    seen, running = 0, 0
+    for index in range(slots.size - 1):
+        left, top, right, bottom = box_of(boxes, index)
+        slots[index] = running
+        if right > left and bottom > top:
+            seen += 1
+            running += (right - left) * (bottom - top)
+            for y in range(top, bottom):
+                for tile in range(y * tiles_x + left, y * tiles_x + right):
+                    starts[tile + 1] += 1
+    slots[slots.size - 1] = running
+    for tile in range(1, starts.size):
+        starts[tile] += starts[tile - 1]
+    return seen
+
+
+@kernel
+def sort_by_depth(records, slots, keys, spare):
+    """Indices of the visible Gaussians in the low halves of the result, front to back, equal depths in order of index.
+
+    The keys are the bits of the depths relative to the nearest one: a head spans few of them, and two passes do.
+    """
+    size, nearest, farthest = 0, np.int64(1) << 40, np.int64(0)
+    for index in range(slots.size - 1):
+        if slots[index + 1] > slots[index]:
+            bits = float_bits(records[index * RECORD + DEPTH])
+            nearest, farthest = min(nearest, bits), max(farthest, bits)
+            keys[size] = (bits << 32) | index
+            size += 1
+    shift, span = 0, farthest - nearest
+    while size > 1 and (span >> shift) > 0:
+        radix_pass(keys[:size], spare[:size], nearest, shift)
+        keys, spare = spare, keys
+        shift += DIGIT_BITS
+    return keys[:size]
+
+
+@inlined
+def radix_pass(source, target, nearest, shift):
+    """One stable pass of the radix sort, by the digit at `shift`."""
+    places = np.zeros(DIGITS + 1, np.int64)
+    for key in source:
+        places[((((key >> 32) - nearest) >> shift) & (DIGITS - 1)) + 1] += 1
+    for digit in range(DIGITS):
+        places[digit + 1] += places[digit]
+    for key in source:
+        digit = (((key >> 32) - nearest) >> shift) & (DIGITS - 1)
+        target[places[digit]] = key
+        places[digit] += 1
+
+
+@kernel
+def fill_tiles(order, boxes, tiles_x, bins):
+    """Append every Gaussian, front to back, to the lists of its tiles."""
+    next_place = bins.starts[:-1].copy()
+    for key in order:
+        index = key & 0xFFFFFFFF
+        left, top, right, bottom = box_of(boxes, index)
+        slot = bins.slots[index]
+        for y in range(top, bottom):
+            for tile in range(y * tiles_x + left, y * tiles_x + right):
+                place = next_place[tile]
+                next_place[tile] = place + 1
+                bins.gaussians[place] = index
+                bins.entries[slot] = place
+                slot += 1

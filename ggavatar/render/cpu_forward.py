@@ -1,0 +1,156 @@
+"""Drawing: tile by tile, 64 Gaussians at a time, block by block, so that a block's colour and light stay in registers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ggavatar.compiled import inlined, kernel
+from ggavatar.render.blending import TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light, touched_blocks
+from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
+from ggavatar.render.memory import column_bits, load, lowest_bit, prefetch, store, store_block_1, store_block_3, take_ticket
+from ggavatar.render.simd import absolute, bits_of, fma, splat
+
+BATCH = 64
+STATE = 5 * 16
+"""Floats per block: light, red, green, blue and depth of sixteen pixels."""
+
+FORWARD_SCRATCH = 16 * STATE + BATCH * RECORD
+"""Floats a worker needs: the state of sixteen blocks, then the records of a batch."""
+
+AHEAD = 16
+ALL_BLOCKS = (1 << 16) - 1
+ONE = np.uint16(1)
+
+
+class Canvas(NamedTuple):
+    """What is drawn, height and width padded to whole tiles.
+
+    `image` [H, W, 3], `light` [H, W] the transmittance that is left, `depth` [H, W]; `hits` [M] the blocks each entry of the tile lists was drawn in;
+    `ends` [tiles] where drawing stopped in the tile lists.
+    """
+
+    image: np.ndarray
+    light: np.ndarray
+    depth: np.ndarray
+    hits: np.ndarray
+    ends: np.ndarray
+
+
+@kernel
+def draw_tiles(tickets, scratches, masks, bins, records, view, canvas):
+    """Draw tiles until none is left."""
+    worker = take_ticket(tickets, 1)
+    scratch, mask = scratches[worker], masks[worker]
+    tiles = canvas.ends.size
+    first = take_ticket(tickets, 0) * TILES_PER_TICKET
+    while first < tiles:
+        for tile in range(first, min(first + TILES_PER_TICKET, tiles)):
+            draw_tile((scratch, mask), bins, records, view, canvas, tile)
+        first = take_ticket(tickets, 0) * TILES_PER_TICKET
+
+
+@inlined
+def draw_tile(work, bins, records, view, canvas, tile):
+    """Draw one tile."""
+    scratch, mask = work
+    tiles_x = np.int64(view[25])
+    left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+    alive = clear_tile(scratch, view[23] - np.float32(left), view[24] - np.float32(top))
+    place, end = np.int64(bins.starts[tile]), np.int64(bins.starts[tile + 1])
+    while place < end and alive != 0:
+        size = min(BATCH, end - place)
+        gather_batch(work, bins.gaussians[place:end], records, (np.float32(left), np.float32(top)), alive)
+        for block in range(16):
+            if (alive >> block) & 1:
+                alive &= ~(draw_block(scratch, mask, block) << block)
+        for number in range(size):
+            canvas.hits[place + number] = mask[number]
+        place += size
+    canvas.ends[tile] = place
+    write_tile(scratch, view, canvas, left, top)
+
+
+@inlined
+def clear_tile(scratch, width, height):
+    """Start every pixel with no colour and all light; returns the bits of the blocks with a pixel in the image."""
+    alive = np.int64(0)
+    for block in range(16):
+        x, y = block_pixels(block)
+        light = first_light(x, y, width, height)
+        store(scratch, block * STATE, light)
+        for channel in range(1, 5):
+            store(scratch, block * STATE + channel * 16, splat(np.float32(0)))
+        if bits_of(light > np.float32(0)) != 0:
+            alive |= 1 << block
+    return alive
+
+
+@inlined
+def gather_batch(work, gaussians, records, corner, alive):
+    """Copy up to 64 records, centres replaced by whitened ones from the tile's corner, and note the blocks each one touches."""
+    scratch, mask = work
+    size = gaussians.size
+    for number in range(BATCH):
+        if number >= size:
+            mask[number] = 0
+            continue
+        if number + AHEAD < size:
+            prefetch(records, np.int64(gaussians[number + AHEAD]) * RECORD)
+        source, target = np.int64(gaussians[number]) * RECORD, 16 * STATE + number * RECORD
+        store(scratch, target, load(records, source))
+        record = records[source : source + RECORD]
+        x, y = record[X] - corner[0], record[Y] - corner[1]
+        mask[number] = np.uint16(touched_blocks(record, x, y) & alive)
+        scratch[target + X] = -(record[XX] * x + record[XY] * y)
+        scratch[target + Y] = -(record[YY] * y)
+
+
+@inlined
+def draw_block(scratch, mask, block):
+    """Blend the batch into one block, front to back; returns 1 if all its pixels are finished, else 0."""
+    place = block * STATE
+    x, y = block_pixels(block)
+    light, red, green = load(scratch, place), load(scratch, place + 16), load(scratch, place + 32)
+    blue, depth = load(scratch, place + 48), load(scratch, place + 64)
+    bits, finished = column_bits(mask, block), 0
+    while bits != 0:
+        record = 16 * STATE + lowest_bit(bits) * RECORD
+        bits &= bits - 1
+        u = fma(x, scratch[record + XX], fma(y, scratch[record + XY], splat(scratch[record + X])))
+        v = fma(y, scratch[record + YY], splat(scratch[record + Y]))
+        power, raw = coverage(u, v, splat(scratch[record + OPACITY]))
+        _, share, _, light, ended = pass_light(power, raw, light)
+        red = fma(share, scratch[record + RED], red)
+        green = fma(share, scratch[record + GREEN], green)
+        blue = fma(share, scratch[record + BLUE], blue)
+        depth = fma(share, scratch[record + DEPTH], depth)
+        if ended != 0 and bits_of(light > np.float32(0)) == 0:
+            finished = 1
+            break
+    while bits != 0:  # the gradient need not look at what is hidden here
+        mask[lowest_bit(bits)] &= ~(ONE << np.uint16(block))
+        bits &= bits - 1
+    store(scratch, place, light)
+    store(scratch, place + 16, red)
+    store(scratch, place + 32, green)
+    store(scratch, place + 48, blue)
+    store(scratch, place + 64, depth)
+    return finished
+
+
+@inlined
+def write_tile(scratch, view, canvas, left, top):
+    """Put the tile on the background and into the canvas."""
+    stride = np.int64(view[25]) * TILE
+    for block in range(16):
+        place = block * STATE
+        pixel = (top + (block >> 2) * 4) * stride + left + (block & 3) * 4
+        light = absolute(load(scratch, place))
+        red = fma(light, view[27], load(scratch, place + 16))
+        green = fma(light, view[28], load(scratch, place + 32))
+        blue = fma(light, view[29], load(scratch, place + 48))
+        store_block_3(canvas.image, pixel * 3, stride * 3, (red, green, blue))
+        store_block_1(canvas.light, pixel, stride, (light,))
+        store_block_1(canvas.depth, pixel, stride, (load(scratch, place + 64),))

@@ -1,0 +1,349 @@
+"""Loads, stores, transpositions and bit tricks for the 16-lane vectors of `ggavatar.render.simd`.
+
+Arrays are one-dimensional and contiguous; indices count elements and are not checked.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from ggavatar.render.simd import LANES, call, lanes
+
+_F32, _I8, _I16, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntType(64)
+_VECTOR, _INTS = ir.VectorType(_F32, LANES), ir.VectorType(_I32, LANES)
+
+
+def _address(context: Any, builder: ir.IRBuilder, kind: types.Array, array: ir.Value, index: ir.Value) -> ir.Value:
+    """Pointer to an element."""
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.gep(data, [index])
+
+
+def _vector_at(builder: ir.IRBuilder, pointer: ir.Value, kind: ir.Type) -> ir.Value:
+    return builder.bitcast(pointer, kind.as_pointer())
+
+
+@intrinsic
+def load(typingctx: Any, array: Any, index: Any) -> Any:
+    """Sixteen consecutive elements."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.load(_vector_at(builder, pointer, _VECTOR), align=4)
+
+    return lanes(array, types.int64), lower
+
+
+@intrinsic
+def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+    """Write sixteen consecutive elements."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        builder.store(args[2], _vector_at(builder, pointer, _VECTOR), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes), lower
+
+
+@intrinsic
+def gather_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any) -> Any:
+    """One column of sixteen consecutive rows; rows beyond `last` repeat it."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        value = ir.Constant(_VECTOR, ir.Undefined)
+        for lane, index in enumerate(_row_indices(builder, args[1:])):
+            element = builder.load(_address(context, builder, sig.args[0], args[0], index), align=4)
+            value = builder.insert_element(value, element, _I32(lane))
+        return value
+
+    return lanes(array, *[types.int64] * 4), lower
+
+
+@intrinsic
+def scatter_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any, value: Any) -> Any:
+    """Write one column of sixteen consecutive rows; lanes beyond row `last` are dropped."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        # Backwards, so that the lane that belongs to the last row is the one that stays.
+        for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
+            pointer = _address(context, builder, sig.args[0], args[0], index)
+            builder.store(builder.extract_element(args[5], _I32(lane)), pointer, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, *[types.int64] * 4, lanes), lower
+
+
+def _row_indices(builder: ir.IRBuilder, args: Any) -> list[ir.Value]:
+    """Flat index of `column` in rows first … first + 15, none beyond `last`."""
+    first, last, stride, column = args
+    indices = []
+    for lane in range(LANES):
+        row = builder.add(first, _I64(lane))
+        row = builder.select(builder.icmp_signed("<", row, last), row, last)
+        indices.append(builder.add(builder.mul(row, stride), column))
+    return indices
+
+
+@intrinsic
+def transpose(typingctx: Any, rows: Any) -> Any:
+    """Sixteen vectors as the columns of the given sixteen."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        values = [builder.extract_value(args[0], index) for index in range(LANES)]
+        for step in (8, 4, 2, 1):
+            values = _swap_halves(builder, values, step)
+        result = args[0]
+        for index, value in enumerate(values):
+            result = builder.insert_value(result, value, index)
+        return result
+
+    return rows(rows), lower
+
+
+def _swap_halves(builder: ir.IRBuilder, values: list[ir.Value], step: int) -> list[ir.Value]:
+    """One stage of the butterfly: lanes with bit `step` set change places with rows with that bit set."""
+    low = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
+    high = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
+    swapped = list(values)
+    for row in range(LANES):
+        if not row & step:
+            pair = values[row], values[row + step]
+            swapped[row] = builder.shuffle_vector(*pair, ir.Constant(_INTS, low))
+            swapped[row + step] = builder.shuffle_vector(*pair, ir.Constant(_INTS, high))
+    return swapped
+
+
+@intrinsic
+def column_bits(typingctx: Any, words: Any, column: Any) -> Any:
+    """Bit `column` of each of the first 64 uint16 of an array, as the bits of an int64."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        kind = ir.VectorType(_I16, 64)
+        pointer = _address(context, builder, sig.args[0], args[0], _I64(0))
+        words = builder.load(_vector_at(builder, pointer, kind), align=2)
+        bit = builder.shl(_I16(1), builder.trunc(args[1], _I16))
+        start = builder.insert_element(ir.Constant(kind, ir.Undefined), bit, _I32(0))
+        every = builder.shuffle_vector(start, start, ir.Constant(ir.VectorType(_I32, 64), [0] * 64))
+        held = builder.icmp_unsigned("!=", builder.and_(words, every), ir.Constant(kind, [0] * 64))
+        return builder.bitcast(held, _I64)
+
+    return types.int64(words, types.int64), lower
+
+
+@intrinsic
+def lowest_bit(typingctx: Any, bits: Any) -> Any:
+    """Number of the lowest set bit of an int64 that is not 0."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        return call(builder, "llvm.cttz.i64", [args[0], ir.IntType(1)(1)], _I64)
+
+    return types.int64(types.int64), lower
+
+
+@intrinsic
+def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
+    """Ask for the cache line of an element."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        address = builder.bitcast(pointer, _I8.as_pointer())
+        call(builder, "llvm.prefetch.p0", [address, _I32(0), _I32(3), _I32(1)], ir.VoidType())
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64), lower
+
+
+@intrinsic
+def take_ticket(typingctx: Any, counter: Any, index: Any) -> Any:
+    """The value of an int64 element, which is raised by one; atomic between threads."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.atomic_rmw("add", pointer, _I64(1), "monotonic")
+
+    return types.int64(counter, types.int64), lower
+
+
+@intrinsic
+def float_bits(typingctx: Any, value: Any) -> Any:
+    """The bits of a float32 as an int64; for positive numbers in the same order as the numbers."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        return builder.zext(builder.bitcast(args[0], _I32), _I64)
+
+    return types.int64(types.float32), lower
+
+
+def _strided(builder: ir.IRBuilder, block: ir.Value, count: int) -> list[ir.Value]:
+    """The `count` columns of a block of 16 rows."""
+    nothing = ir.Constant(block.type, ir.Undefined)
+    picks = ([lane * count + column for lane in range(LANES)] for column in range(count))
+    return [builder.shuffle_vector(block, nothing, ir.Constant(_INTS, pick)) for pick in picks]
+
+
+def _columns(count: int) -> Any:
+    """An intrinsic that loads 16 rows of `count` elements as `count` vectors."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        kind = ir.VectorType(_F32, LANES * count)
+        pointer = _vector_at(builder, _address(context, builder, sig.args[0], args[0], args[1]), kind)
+        parts = _strided(builder, builder.load(pointer, align=4), count)
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    return intrinsic(lambda typingctx, array, index: (types.UniTuple(lanes, count)(array, types.int64), lower))
+
+
+load_columns_3 = _columns(3)
+load_columns_4 = _columns(4)
+
+
+def _interleave(builder: ir.IRBuilder, values: list[ir.Value], scalar: ir.Type) -> ir.Value:
+    """One vector with the lanes of all values in turn: a0 b0 c0 … a1 b1 c1 …"""
+    count = len(values)
+    width = 1 << (count - 1).bit_length()
+    padded = values + [ir.Constant(values[0].type, ir.Undefined)] * (width - count)
+    size = LANES
+    while len(padded) > 1:
+        order = ir.Constant(ir.VectorType(_I32, 2 * size), list(range(2 * size)))
+        padded = [builder.shuffle_vector(a, b, order) for a, b in zip(padded[::2], padded[1::2], strict=True)]
+        size *= 2
+    picks = [column * LANES + lane for lane in range(LANES) for column in range(count)]
+    nothing = ir.Constant(padded[0].type, ir.Undefined)
+    return builder.shuffle_vector(padded[0], nothing, ir.Constant(ir.VectorType(_I32, LANES * count), picks))
+
+
+@intrinsic
+def store_columns(typingctx: Any, array: Any, index: Any, columns: Any) -> Any:
+    """Write vectors as the columns of 16 rows, without gaps."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        values = [builder.extract_value(args[2], number) for number in range(len(sig.args[2]))]
+        block = _interleave(builder, values, _F32)
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        builder.store(block, _vector_at(builder, pointer, block.type), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, columns), lower
+
+
+@intrinsic
+def store_boxes(typingctx: Any, array: Any, index: Any, columns: Any) -> Any:
+    """Write four vectors of whole numbers as the int16 columns of 16 rows."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        kind = ir.VectorType(_I16, LANES)
+        values = [builder.extract_value(args[2], number) for number in range(4)]
+        whole = [builder.trunc(builder.fptosi(value, _INTS), kind) for value in values]
+        block = _interleave(builder, whole, _I16)
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        builder.store(block, _vector_at(builder, pointer, block.type), align=2)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, columns), lower
+
+
+@intrinsic
+def load_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any) -> Any:
+    """Sixteen vectors: 16 elements from `column` on of rows first … first + 15; rows beyond `last` repeat it."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        values = []
+        for index in _row_indices(builder, args[1:]):
+            pointer = _address(context, builder, sig.args[0], args[0], index)
+            values.append(builder.load(_vector_at(builder, pointer, _VECTOR), align=4))
+        return context.make_tuple(builder, sig.return_type, values)
+
+    return types.UniTuple(lanes, LANES)(array, *[types.int64] * 4), lower
+
+
+@intrinsic
+def store_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any, rows: Any) -> Any:
+    """Write sixteen vectors to rows first … first + 15 from `column` on; rows beyond `last` are dropped."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
+            pointer = _address(context, builder, sig.args[0], args[0], index)
+            builder.store(builder.extract_value(args[5], lane), _vector_at(builder, pointer, _VECTOR), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, *[types.int64] * 4, rows), lower
+
+
+def _blocks(count: int) -> tuple[Any, Any]:
+    """Intrinsics that load and store a 4 × 4 block of pixels of `count` interleaved channels, as one vector per channel."""
+
+    def row_picks(row: int) -> list[int]:
+        return [channel * LANES + row * 4 + x for x in range(4) for channel in range(count)]
+
+    def lower_load(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        row_kind = ir.VectorType(_F32, 4 * count)
+        rows = []
+        for number in range(4):
+            index = builder.add(args[1], builder.mul(args[2], _I64(number)))
+            pointer = _vector_at(builder, _address(context, builder, sig.args[0], args[0], index), row_kind)
+            rows.append(builder.load(pointer, align=4))
+        pairs = [_joined(builder, rows[0], rows[1]), _joined(builder, rows[2], rows[3])]
+        parts = _strided(builder, _joined(builder, *pairs), count)
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    def lower_store(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        values = [builder.extract_value(args[3], number) for number in range(count)]
+        values += [ir.Constant(_VECTOR, ir.Undefined)] * (count % 2)
+        pairs = [_joined(builder, a, b) for a, b in zip(values[::2], values[1::2], strict=True)]
+        block = _joined(builder, *pairs) if len(pairs) == 2 else pairs[0]
+        for number in range(4):
+            order = ir.Constant(ir.VectorType(_I32, 4 * count), row_picks(number))
+            part = builder.shuffle_vector(block, block, order)
+            index = builder.add(args[1], builder.mul(args[2], _I64(number)))
+            pointer = _address(context, builder, sig.args[0], args[0], index)
+            builder.store(part, _vector_at(builder, pointer, part.type), align=4)
+        return context.get_dummy_value()
+
+    def type_load(typingctx: Any, array: Any, index: Any, stride: Any) -> Any:
+        return types.UniTuple(lanes, count)(array, types.int64, types.int64), lower_load
+
+    def type_store(typingctx: Any, array: Any, index: Any, stride: Any, block: Any) -> Any:
+        return types.void(array, types.int64, types.int64, block), lower_store
+
+    return intrinsic(type_load), intrinsic(type_store)
+
+
+def _joined(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+    """The lanes of a, then those of b."""
+    order = ir.Constant(ir.VectorType(_I32, 2 * a.type.count), list(range(2 * a.type.count)))
+    return builder.shuffle_vector(a, b, order)
+
+
+load_block_1, store_block_1 = _blocks(1)
+load_block_3, store_block_3 = _blocks(3)
+
+
+@intrinsic
+def lane_sums(typingctx: Any, values: Any) -> Any:
+    """One vector whose lane k is the sum of the lanes of `values[k]`; lanes without a value hold anything.
+
+    A tree of four stages; each folds two vectors into one, so ten sums cost little more than one.
+    """
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        level: dict[int, ir.Value] = {k: builder.extract_value(args[0], k) for k in range(len(sig.args[0]))}
+        for step in (8, 4, 2, 1):
+            level = {k: _fold(builder, value, level.get(k + step), step) for k, value in level.items() if not k & step}
+        return level[0]
+
+    return lanes(values), lower
+
+
+def _fold(builder: ir.IRBuilder, first: ir.Value, second: ir.Value | None, step: int) -> ir.Value:
+    """Halve the number of partial sums: those of `second` go to the lanes with bit `step` set."""
+    low = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
+    high = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
+    other = ir.Constant(_VECTOR, ir.Undefined) if second is None else second
+    left = builder.shuffle_vector(first, other, ir.Constant(_INTS, low))
+    right = builder.shuffle_vector(first, other, ir.Constant(_INTS, high))
+    return builder.fadd(left, right)
