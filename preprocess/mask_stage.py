@@ -100,8 +100,8 @@ def _computed_masks(job: Job, wanted: str) -> Mapping[str, Any]:
     matting = open_matting(wanted, job.options.models, job.options.offline)
     for warning in matting.warnings:
         job.reporter.warn(warning)
-    for done, number in enumerate(numbers, start=1):
-        mask = matting.mask(read_rgb(job.folder / "images" / f"{number:06d}.png"))
+    images = (read_rgb(job.folder / "images" / f"{number:06d}.png") for number in numbers)
+    for done, (number, mask) in enumerate(zip(numbers, matting.masks(images), strict=True), start=1):
         write_png(job.folder / "masks" / f"{number:06d}.png", mask)
         job.reporter.advance(done, len(numbers))
     return {"numbers": numbers, "kind": matting.name, "offset": 0, "name": matting.name}

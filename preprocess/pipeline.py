@@ -37,17 +37,24 @@ def run_pipeline(
     Raises:
         InputError: Bad input, or a folder that must not be written to.
     """
+    wanted = _fingerprints(options, stages)
     prepare_folder(options)
     results: dict[str, Mapping[str, Any]] = {}
-    before = ""
-    for stage in stages:
-        before = fingerprint(stage, options, before)
+    for stage, before in zip(stages, wanted, strict=True):
         result = finished_result(options.output_dir, stage, before)
         with reporter(stage, result is not None) as place:
             results[stage.name] = (
                 result if result is not None else _run(stage, Job(options, options.output_dir, results, place), before)
             )
     return results
+
+
+def _fingerprints(options: PrepOptions, stages: tuple[Stage, ...]) -> list[str]:
+    """Fingerprints of all stages; taken before anything is written, since this is where missing inputs show."""
+    found: list[str] = []
+    for stage in stages:
+        found.append(fingerprint(stage, options, found[-1] if found else ""))
+    return found
 
 
 def _run(stage: Stage, job: Job, wanted: str) -> Mapping[str, Any]:

@@ -1,0 +1,166 @@
+"""Soft foreground masks for a clip.
+
+A network's coverage, steadied over time, reduced to the person and given a crisp edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from ggavatar.errors import InputError
+from preprocess.mask_network import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
+
+EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
+"""The network's coverage reaches a little too far; measured against a chroma key (docs/log.md)."""
+
+STILL_DIFFERENCE = 0.03
+"""Difference between neighbouring frames, in [0, 1].
+
+Below which a pixel counts as still and its coverage is averaged over time.
+"""
+
+
+@runtime_checkable
+class Matting(Protocol):
+    """A way to make masks for a whole clip."""
+
+    @property
+    def name(self) -> str:
+        """For provenance."""
+        ...
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know about masks of this kind."""
+        ...
+
+    def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """8-bit masks of the clip's images, in order and of their size; at most two images are held at a time."""
+        ...
+
+
+def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
+    """The matting for `--masks`: auto and selfie use the network, grabcut needs none, a file is the user's RVM.
+
+    Raises:
+        InputError: No such file, or a file that is no such network.
+    """
+    if wanted in ("auto", "selfie"):
+        from preprocess.models import resolve
+
+        return SelfieMatting(SelfieNetwork(resolve("selfie_segmentation", models, offline)))
+    if wanted == "grabcut":
+        from preprocess.grabcut import GrabCutMatting
+
+        return GrabCutMatting()
+    path = Path(wanted)
+    if not path.is_file():
+        raise InputError(f"--masks {wanted}: no such file or folder; expected one, or auto, selfie, grabcut")
+    if path.suffix.lower() == ".onnx":
+        return PlainMatting(RvmOnnx(path), f"rvm ({path.name})")
+    return PlainMatting(RvmTorchScript(path), f"rvm ({path.name})")
+
+
+@dataclass(frozen=True)
+class PlainMatting:
+    """A video network's own alpha, taken as it is."""
+
+    network: MaskNetwork
+    name: str
+    warnings: tuple[str, ...] = ()
+
+    def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """Alpha of each image, 8 bits."""
+        for image in images:
+            yield to_mask(self.network.coverage(image), image.shape[1], image.shape[0])
+
+
+@dataclass(frozen=True)
+class SelfieMatting:
+    """Selfie segmentation of single images, made steady.
+
+    Every second image is seen mirrored: averaged over time, that is as accurate as looking twice at each and costs
+    half.
+    """
+
+    network: MaskNetwork
+    name: str = "selfie"
+    warnings: tuple[str, ...] = ()
+
+    def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """Masks with one image of look-ahead."""
+        past: _Seen | None = None
+        now: _Seen | None = None
+        for index, image in enumerate(images):
+            ahead = self._see(image, mirrored=index % 2 == 1)
+            if now is not None:
+                yield _finished(past, now, ahead)
+            past, now = now, ahead
+        if now is not None:
+            yield _finished(past, now, None)
+
+    def _see(self, image: np.ndarray, mirrored: bool) -> _Seen:
+        view = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
+        coverage = self.network.coverage(view)
+        coverage = np.ascontiguousarray(coverage[:, ::-1]) if mirrored else coverage
+        small = cv2.resize(image, coverage.shape[::-1], interpolation=cv2.INTER_AREA)
+        return _Seen(coverage, small.astype(np.float32) / 255, image.shape[1], image.shape[0])
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Coverage and look of one image at the network's resolution, and the image's size."""
+
+    coverage: Float[np.ndarray, "h w"]
+    look: Float[np.ndarray, "h w 3"]
+    width: int
+    height: int
+
+
+def _finished(past: _Seen | None, now: _Seen, ahead: _Seen | None) -> UInt8[np.ndarray, "H W"]:
+    """The mask of one image."""
+    steady = steadied(now, [other for other in (past, ahead) if other is not None])
+    crisp = np.clip(
+        (cv2.resize(steady, (now.width, now.height), interpolation=cv2.INTER_LINEAR) - EDGE_LEVEL) * EDGE_GAIN + 0.5,
+        0,
+        1,
+    )
+    return only_person(to_mask(crisp, now.width, now.height))
+
+
+def steadied(now: _Seen, others: list[_Seen]) -> Float[np.ndarray, "h w"]:
+    """Coverage averaged with the neighbouring images' where the picture stands still; where it moves, its own."""
+    total, weight = now.coverage.copy(), np.ones_like(now.coverage)
+    for other in others:
+        difference = cv2.blur(np.abs(other.look - now.look).mean(axis=2), (3, 3))
+        share = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
+        total += share * other.coverage
+        weight += share
+    return total / weight
+
+
+def to_mask(coverage: Float[np.ndarray, "h w"], width: int, height: int) -> UInt8[np.ndarray, "H W"]:
+    """Coverage in [0, 1] as 8-bit mask of the wanted size."""
+    if coverage.shape != (height, width):
+        coverage = cv2.resize(coverage, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.round(np.clip(coverage, 0, 1) * 255).astype(np.uint8)
+
+
+def only_person(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
+    """The mask without anything that is not connected to its largest part, and without small holes in it."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((mask > 16).astype(np.uint8))
+    if count <= 1:
+        return mask
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    kept = np.where(labels == largest, mask, 0).astype(np.uint8)
+    holes, hole_labels, hole_stats, _ = cv2.connectedComponentsWithStats((kept <= 127).astype(np.uint8), connectivity=4)
+    small = [label for label in range(1, holes) if hole_stats[label, cv2.CC_STAT_AREA] < mask.size // 2000]
+    kept[np.isin(hole_labels, small)] = 255
+    return kept
