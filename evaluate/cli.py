@@ -21,6 +21,9 @@ from evaluate.score import Labels, Perceptual, learned_metrics, score
 from evaluate.weights import model_folders
 from ggavatar.errors import GateError, InputError, run_command
 
+WIDTH = 160
+"""Columns of a table that is not printed on a terminal."""
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code: 0 done, 1 failed, 2 bad input, 3 a gate failed."""
@@ -29,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _evaluate(options: Options) -> int:
     """Score everything named, write and print the tables, then check the gates."""
-    console = Console(soft_wrap=True)
+    console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = _limits(options)
     evaluations, written = _gather(options, console)
     tables = build_tables(evaluations, options.layout, options.with_paper)
@@ -37,9 +40,8 @@ def _evaluate(options: Options) -> int:
     written += write_tables(tables, folder)
     if options.table:
         console.print()
-        for table in tables if len(evaluations) > 1 else tables[:1]:
-            if table.name != "detail":
-                show(table, console)
+        for table in (table for table in tables if table.name != "detail"):
+            show(table, console)
     checks = _checks(options, evaluations, limits)
     if options.gates.junit:
         write_junit(options.gates.junit, checks)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from evaluate.catalogue import metric_of, title_of
+from evaluate.protocol import Protocol
 from evaluate.results import Evaluation
 from evaluate.statistics import deviation_over_seeds
 from evaluate.table import (
@@ -16,6 +17,7 @@ from evaluate.table import (
     Cell,
     Column,
     Row,
+    Source,
     Table,
     marked_across,
     marked_rows,
@@ -61,7 +63,12 @@ class Study:
     @property
     def metrics(self) -> tuple[str, ...]:
         """What the main table shows."""
-        return self.evaluations[0].protocol.table_metrics
+        return self.protocol.table_metrics
+
+    @property
+    def protocol(self) -> Protocol:
+        """What all of them were scored under."""
+        return self.evaluations[0].protocol
 
     def runs(self, subject: str, method: str) -> list[Evaluation]:
         """The evaluations of one pair."""
@@ -75,7 +82,8 @@ class Study:
         summaries = [run.summary(metric) for run in runs]
         means = [summary.mean for summary in summaries if summary.mean is not None]
         if len(means) == len(runs):
-            return number_cell(statistics.fmean(means), metric_of(metric).digits, deviation_over_seeds(means))
+            source = Source("mean", (subject,), (method,), metric)
+            return number_cell(statistics.fmean(means), metric_of(metric).digits, source, deviation_over_seeds(means))
         if all(summary.identical for summary in summaries):
             return Cell(IDENTICAL, reason="all renders equal the ground truth; PSNR is infinite")
         return missing_cell(next((r.missing[metric] for r in runs if metric in r.missing), "not measured"))
@@ -85,7 +93,7 @@ def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
     """Evaluations sorted into studies of one protocol each.
 
     Raises:
-        InputError: Two evaluations of one subject, method and seed under one protocol.
+        InputError: Two evaluations of one subject and method under one protocol that no seed tells apart.
     """
     groups: dict[str, list[Evaluation]] = {}
     seen: set[tuple] = set()
@@ -98,7 +106,15 @@ def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
             )
         seen.add(key)
         groups.setdefault(evaluation.protocol.digest, []).append(evaluation)
-    return [Study(tuple(group)) for group in groups.values()]
+    found = [Study(tuple(group)) for group in groups.values()]
+    for study in found:
+        for evaluation in study.evaluations:
+            if evaluation.seed is None and len(study.runs(evaluation.subject, evaluation.method)) > 1:
+                raise InputError(
+                    f"several evaluations of {evaluation.method} on {evaluation.subject}, one of them without a seed; "
+                    "score it again with --seed, or name them apart with --method"
+                )
+    return found
 
 
 def metric_columns(metrics: Sequence[str], group: str = "") -> list[Column]:
@@ -118,12 +134,14 @@ def subjects_table(study: Study) -> Table:
         cells = [study.cell(subject, method, metric) for method in study.methods for metric in study.metrics]
         rows.append(Row(subject, tuple(cells)))
     if len(rows) > 1:
-        rows.append(_mean_row(rows, columns))
+        rows.append(_mean_row(study, rows, columns))
     marked = tuple(marked_across(row, columns) for row in rows)
-    return Table("comparison", caption(study), "Metrics", tuple(columns), marked, notes(study))
+    return Table(
+        "comparison", caption(study), "Metrics", tuple(columns), marked, notes(study), protocol=study.protocol.id
+    )
 
 
-def _mean_row(rows: Sequence[Row], columns: Sequence[Column]) -> Row:
+def _mean_row(study: Study, rows: Sequence[Row], columns: Sequence[Column]) -> Row:
     """Mean over the rows in which every method has the metric."""
     cells, counts = [], set()
     for place, column in enumerate(columns):
@@ -131,8 +149,12 @@ def _mean_row(rows: Sequence[Row], columns: Sequence[Column]) -> Row:
         complete = [row for row in rows if all(row.cells[k].value is not None for k in rivals)]
         counts.add(len(complete))
         values = [v for row in complete if (v := row.cells[place].value) is not None]
-        reason = "no subject has this metric for every method"
-        cells.append(number_cell(statistics.fmean(values), column.digits) if values else missing_cell(reason))
+        if not values:
+            cells.append(missing_cell("no subject has this metric for every method"))
+            continue
+        method, metric = study.methods[place // len(study.metrics)], study.metrics[place % len(study.metrics)]
+        source = Source("mean", tuple(row.label for row in complete), (method,), metric)
+        cells.append(number_cell(statistics.fmean(values), column.digits, source))
     size = f"{min(counts)}–{max(counts)}" if len(counts) > 1 else str(counts.pop())
     return Row(f"mean of {size}", tuple(cells), rule=True)
 
@@ -155,14 +177,14 @@ def ablation_table(study: Study) -> Table:
         if study.runs(subject, method)
     ]
     where = "" if several else f" on {study.subjects[0]}"
-    table = Table("ablation", f"Ablation study{where}. {caption(study)}", "Methods", columns, tuple(rows), notes(study))
+    words = f"Ablation study{where}. {caption(study)}"
+    table = Table("ablation", words, "Methods", columns, tuple(rows), notes(study), protocol=study.protocol.id)
     return marked_rows(table)
 
 
 def caption(study: Study) -> str:
     """What was measured, in one sentence."""
-    protocol = study.evaluations[0].protocol
-    return f"Protocol {protocol.id} (digest {protocol.digest[:12]}), {_frames(study)}."
+    return f"Protocol {study.protocol.id} (digest {study.protocol.digest[:12]}), {_frames(study)}."
 
 
 def _frames(study: Study) -> str:

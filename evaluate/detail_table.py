@@ -6,13 +6,12 @@ import math
 import statistics
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import Any
 
 from evaluate.catalogue import metric_of, title_of
 from evaluate.comparison_table import Study, printed
 from evaluate.results import Evaluation
-from evaluate.statistics import BLOCK_SPAN, RESAMPLES, Difference, deviation_over_seeds, paired_bootstrap
-from evaluate.table import DASH, Cell, Column, Row, Table, missing_cell, number_cell
+from evaluate.statistics import BLOCK_SPAN, RESAMPLES, deviation_over_seeds, paired_bootstrap
+from evaluate.table import Cell, Column, Row, Source, Table, missing_cell, number_cell
 
 SPREAD = (("mean", "mean"), ("median", "median"), ("worst_5_percent", "worst 5 %"), ("std_over_frames", "σ frames"))
 
@@ -26,12 +25,12 @@ def detail_table(study: Study) -> Table:
             runs = study.runs(subject, method)
             for metric in runs[0].columns if runs else ():
                 rows += _detail_rows(runs, metric, f"{subject} · {printed(method)}")
-    caption = f"All metrics under {study.evaluations[0].protocol.id}."
+    caption = f"All metrics under {study.protocol.id}."
     notes = (
         "worst 5 % is the mean over the worst twentieth of the frames, at least one.",
         "σ frames is the sample deviation between frames of one run; σ seeds is that between runs with other seeds.",
     )
-    return Table("detail", caption, "Metric", tuple(columns), tuple(rows), notes)
+    return Table("detail", caption, "Metric", tuple(columns), tuple(rows), notes, protocol=study.protocol.id)
 
 
 def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Iterator[Row]:
@@ -42,14 +41,16 @@ def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Itera
         label = title_of(metric) + (f", seed {run.seed}" if len(runs) > 1 else "")
         found, digits = run.summary(metric), metric_of(metric).digits
         reason = run.missing.get(metric, "all renders equal the ground truth" if found.identical else "not defined")
-        cells = [number_cell(found.count, 0)]
-        cells += [_number(getattr(found, name), digits, reason) for name, _ in SPREAD]
-        cells.append(_number(over_seeds if place == 0 else None, digits, "needs runs with several seeds"))
+        where = ((run.subject,), (run.method,), metric)
+        cells = [number_cell(found.count, 0, Source("count", *where, run.seed))]
+        cells += [_number(getattr(found, name), digits, reason, Source(name, *where, run.seed)) for name, _ in SPREAD]
+        deviation = over_seeds if place == 0 else None
+        cells.append(_number(deviation, digits, "needs runs with several seeds", Source("std_over_seeds", *where)))
         yield Row(label, tuple(cells), section)
 
 
-def _number(value: float | None, digits: int, reason: str) -> Cell:
-    return missing_cell(reason) if value is None else number_cell(value, digits)
+def _number(value: float | None, digits: int, reason: str, source: Source) -> Cell:
+    return missing_cell(reason) if value is None else number_cell(value, digits, source)
 
 
 def significance_table(study: Study) -> Table | None:
@@ -59,26 +60,26 @@ def significance_table(study: Study) -> Table | None:
     columns = tuple(Column(title_of(name), digits=metric_of(name).digits) for name in study.metrics)
     rows = []
     for first, second in combinations(study.methods, 2):
-        cells = tuple(_difference_cell(difference(study, first, second, name), name) for name in study.metrics)
+        cells = tuple(_difference_cell(study, first, second, name) for name in study.metrics)
         rows.append(Row(f"{printed(first)} − {printed(second)}", cells))
     notes = (
         "Mean of paired per-frame differences, first minus second, and its 95 % interval; * marks intervals without 0.",
         f"Circular block bootstrap, {RESAMPLES} samples, blocks of {BLOCK_SPAN} source frames (at most a quarter of "
         "the test frames), stratified by subject; runs of several seeds are averaged per frame first.",
     )
-    caption = f"Paired differences under {study.evaluations[0].protocol.id}."
-    return Table("significance", caption, "Difference", columns, tuple(rows), notes)
+    caption = f"Paired differences under {study.protocol.id}."
+    return Table("significance", caption, "Difference", columns, tuple(rows), notes, protocol=study.protocol.id)
 
 
-def difference(study: Study, first: str, second: str, metric: str) -> Difference | None:
-    """Bootstrap of one metric between two methods over the subjects and frames both have."""
-    groups = []
+def paired(study: Study, first: str, second: str, metric: str) -> dict[str, tuple[list[int], list[float]]]:
+    """By subject the frames in which both methods have a finite value, and the differences there."""
+    groups = {}
     for subject in study.subjects:
         one, other = (_frame_means(study.runs(subject, method), metric) for method in (first, second))
         common = sorted(set(one) & set(other))
         if common:
-            groups.append((common, [one[n] - other[n] for n in common]))
-    return paired_bootstrap(groups)
+            groups[subject] = (common, [one[n] - other[n] for n in common])
+    return groups
 
 
 def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
@@ -95,14 +96,16 @@ def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
     }
 
 
-def _difference_cell(found: Difference | None, metric: str) -> Cell:
+def _difference_cell(study: Study, first: str, second: str, metric: str) -> Cell:
+    groups = paired(study, first, second, metric)
+    found = paired_bootstrap(list(groups.values()))
     if found is None:
         return missing_cell("no frame has this metric for both")
     digits = metric_of(metric).digits
     star = "*" if found.is_significant else ""
     text = f"{found.mean:+.{digits}f} [{found.low:+.{digits}f}, {found.high:+.{digits}f}]{star}"
     reason = f"{found.frames} frame pairs, blocks of {found.block}"
-    return Cell(text, found.mean, reason=reason)
+    return Cell(text, found.mean, reason=reason, source=Source("difference", tuple(groups), (first, second), metric))
 
 
 COSTS = (
@@ -122,15 +125,17 @@ def efficiency_table(study: Study) -> Table | None:
     columns = tuple(Column(title, digits=digits) for _, title, digits in COSTS)
     several = len({(e.subject, e.method) for e in known}) < len(known)
     rows = tuple(
-        Row(f"{e.subject} · {printed(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e.efficiency))
-        for e in known
+        Row(f"{e.subject} · {printed(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e)) for e in known
     )
     words = {str(e.efficiency[key]) for e in known for key in ("fps_statement", "device") if key in e.efficiency}
-    return Table("efficiency", "What rendering and training cost.", "Method", columns, rows, tuple(sorted(words)))
+    caption = "What rendering and training cost."
+    return Table("efficiency", caption, "Method", columns, rows, tuple(sorted(words)), protocol=study.protocol.id)
 
 
-def _costs(found: Any) -> tuple[Cell, ...]:
+def _costs(run: Evaluation) -> tuple[Cell, ...]:
+    found = {key: run.efficiency.get(key) for key, _, _ in COSTS}
+    where = (run.subject,), (run.method,)
     return tuple(
-        number_cell(float(found[key]), digits) if found.get(key) is not None else Cell(DASH, reason="not recorded")
+        _number(found[key], digits, "not recorded", Source("efficiency", *where, key, run.seed))
         for key, _, digits in COSTS
     )

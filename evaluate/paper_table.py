@@ -88,9 +88,8 @@ def _paper_rows(
             numbers = by_method.get(method, {})
             for metric in metrics:
                 known = metric in numbers
-                cells.append(
-                    number_cell(numbers[metric], digits[metric]) if known else missing_cell("not in the paper's table")
-                )
+                reason = "not in the paper's table"
+                cells.append(number_cell(numbers[metric], digits[metric]) if known else missing_cell(reason))
         rows.append(marked_across(Row(subject, tuple(cells), "paper (protocol not stated)"), columns))
     return rows
 

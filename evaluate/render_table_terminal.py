@@ -1,25 +1,68 @@
-"""Tables for a terminal, drawn by rich: best in bold red, second in yellow, plain where colours are not shown."""
+"""Tables for a terminal, drawn by rich: best in bold red, second in yellow; as signs where colours are not shown."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from evaluate.table import BEST, SECOND, Cell, Table
+from evaluate.table import BEST, SECOND, Cell, Column, Table
 
 STYLES = {BEST: "bold red", SECOND: "yellow"}
 SIGNS = {BEST: "*", SECOND: "'"}
+PADDING = 3
+"""Cells between two columns."""
 
 
 def show(table: Table, console: Console) -> None:
-    """Print a table with its notes; marks are signs (* best, ' second) where the console has no colours."""
-    drawn = RichTable(title=escape(table.caption), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    drawn.add_column(escape(table.corner))
-    for column in table.columns:
-        drawn.add_column(escape(f"{column.group}\n{column.title}" if column.group else column.title), justify="right")
+    """Print a table with its notes. A table wider than the console is printed in several parts, never cut off."""
+    colors = console.color_system is not None and not console.no_color
+    console.print(Text(table.caption, style="bold"))
+    for places in parts(table, console.width):
+        console.print(_drawn(table, places, colors))
+    if not colors and any(cell.mark for row in table.rows for cell in row.cells):
+        console.print("* best  ' second", highlight=False)
+    for note in table.notes:
+        console.print(Text(note, style="dim"))
+    console.print()
+
+
+def parts(table: Table, width: int) -> list[list[int]]:
+    """Columns by part: as many as fit into a width, columns of one group together where a group fits at all."""
+    labels = [table.corner, *(row.label for row in table.rows), *(row.section for row in table.rows)]
+    room = width - max(map(cell_len, labels)) - PADDING
+    groups: list[list[int]] = []
+    for place, column in enumerate(table.columns):
+        if groups and column.group and table.columns[groups[-1][0]].group == column.group:
+            groups[-1].append(place)
+        else:
+            groups.append([place])
+    chunks: list[list[int]] = []
+    for group in groups:
+        needed = sum(_width(table, place) for place in [*(chunks[-1] if chunks else ()), *group])
+        if chunks and needed <= room:
+            chunks[-1] += group
+        else:
+            chunks.append(list(group))
+    return chunks
+
+
+def _width(table: Table, place: int) -> int:
+    """Cells a column takes, with room for a sign."""
+    column = table.columns[place]
+    texts = (column.title, column.group, *(f"{row.cells[place].text}*" for row in table.rows))
+    return max(map(cell_len, texts)) + PADDING
+
+
+def _drawn(table: Table, places: Sequence[int], colors: bool) -> RichTable:
+    drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+    drawn.add_column(Text(table.corner), no_wrap=True)
+    for place in places:
+        drawn.add_column(_heading(table.columns[place]), justify="right", no_wrap=True)
     section = ""
     for row in table.rows:
         if row.section and row.section != section:
@@ -28,19 +71,15 @@ def show(table: Table, console: Console) -> None:
             section = row.section
         if row.rule:
             drawn.add_section()
-        drawn.add_row(Text(row.label), *(_cell(cell, console) for cell in row.cells))
-    console.print(drawn)
-    if not _has_colors(console) and any(cell.mark for row in table.rows for cell in row.cells):
-        console.print("* best  ' second", highlight=False)
-    for note in table.notes:
-        console.print(Text(note, style="dim"))
+        drawn.add_row(Text(row.label), *(_cell(row.cells[place], colors) for place in places))
+    return drawn
 
 
-def _cell(cell: Cell, console: Console) -> Text:
-    if cell.mark and not _has_colors(console):
+def _heading(column: Column) -> Text:
+    return Text(f"{column.group}\n{column.title}" if column.group else column.title)
+
+
+def _cell(cell: Cell, colors: bool) -> Text:
+    if cell.mark and not colors:
         return Text(cell.text + SIGNS[cell.mark])
     return Text(cell.text, style=STYLES.get(cell.mark, ""))
-
-
-def _has_colors(console: Console) -> bool:
-    return console.color_system is not None and not console.no_color

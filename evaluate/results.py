@@ -97,7 +97,7 @@ class Evaluation:
         }
 
     def _summary_dict(self, name: str) -> dict[str, Any]:
-        found = asdict(self.summary(name))
+        found = {**asdict(self.summary(name)), "higher_is_better": metric_of(name).higher_is_better}
         return {**found, "missing": self.missing[name]} if name in self.missing else found
 
     def _where(self, name: str, infinite: bool) -> list[int]:

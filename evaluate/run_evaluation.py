@@ -62,7 +62,7 @@ def evaluate_run(
 
 
 def fitted(protocol: Protocol, run: Run) -> Protocol:
-    """The protocol at a resolution the capture has: ground truth is never enlarged nor distorted, and the id says so."""
+    """The protocol at a resolution the capture has: truth is never enlarged nor distorted, and the id says so."""
     own = run.capture.width, run.capture.height
     if protocol.size is None:
         return protocol

@@ -15,6 +15,26 @@ IDENTICAL = "identical"
 
 
 @dataclass(frozen=True)
+class Source:
+    """What a number was computed from, so that anyone can compute it again (`examples/recompute_table.py`).
+
+    Attributes:
+        statistic: `mean`, `median`, `worst_5_percent`, `std_over_frames`, `count`, `std_over_seeds`, `difference`
+            (first method minus second) or `efficiency`.
+        subjects: The value is the mean over these of each subject's mean over its runs.
+        methods: One, or two for a difference.
+        metric: Name of the metric or of the cost.
+        seed: Of the only run that counts; None for all runs.
+    """
+
+    statistic: str
+    subjects: tuple[str, ...]
+    methods: tuple[str, ...]
+    metric: str
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
 class Cell:
     """One entry.
 
@@ -24,6 +44,7 @@ class Cell:
         deviation: Sample deviation over seeds behind a `±`.
         mark: `best`, `second` or nothing.
         reason: Why there is no number.
+        source: Where the number comes from; None for numbers of the paper.
     """
 
     text: str
@@ -31,6 +52,7 @@ class Cell:
     deviation: Value = None
     mark: str = ""
     reason: str = ""
+    source: Source | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +94,7 @@ class Table:
         rows: From top to bottom.
         notes: Sentences below.
         group_corner: Heading of the row labels in the line of the groups.
+        protocol: Id of the protocol; empty for the paper's tables.
     """
 
     name: str
@@ -81,6 +104,7 @@ class Table:
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
     group_corner: str = "Methods"
+    protocol: str = ""
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -103,10 +127,10 @@ class Table:
         return dataclasses.asdict(self)
 
 
-def number_cell(value: float, digits: int, deviation: Value = None, signed: bool = False) -> Cell:
+def number_cell(value: float, digits: int, source: Source | None = None, deviation: Value = None) -> Cell:
     """A number with its decimals, and the deviation over seeds behind `±`."""
-    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
-    return Cell(text if deviation is None else f"{text} ± {deviation:.{digits}f}", value, deviation)
+    text = f"{value:.{digits}f}"
+    return Cell(text if deviation is None else f"{text} ± {deviation:.{digits}f}", value, deviation, source=source)
 
 
 def missing_cell(reason: str) -> Cell:

@@ -1,0 +1,33 @@
+"""Compute every number of a table again: python recompute_table.py table.json metrics.json [metrics.json ...]."""
+
+import json
+import sys
+from math import ceil, log10
+from pathlib import Path
+from statistics import fmean, median, stdev
+
+
+def number(result, kind, metric):
+    """One statistic of one result, from its per-frame values."""
+    if kind == "efficiency":
+        return result["efficiency"][metric]
+    values = [v for v in result["per_frame"]["mse" if metric == "psnr_pooled" else metric] if v is not None]
+    if metric == "psnr_pooled":
+        return -10 * log10(fmean(values)) if kind == "mean" else len(values)
+    best_first = sorted(values, reverse=result["summary"][metric]["higher_is_better"])
+    known = {"median": median, "std_over_frames": stdev, "count": len}
+    return fmean(best_first[-ceil(len(values) / 20) :]) if kind == "worst_5_percent" else known.get(kind, fmean)(values)
+
+
+tables, *results = [json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:]]
+for table in tables["tables"]:
+    for label, cell in [(row["label"], cell) for row in table["rows"] for cell in row["cells"] if cell["source"]]:
+        kind, subjects, methods, metric, seed = cell["source"].values()
+        mine = [r for r in results if r["protocol"]["id"] == table["protocol"] and seed in (None, r["seed"])]
+        runs = [[[r for r in mine if (r["subject"], r["method"]) == (s, m)] for s in subjects] for m in methods]
+        found = [[[number(r, kind, metric) for r in seeds] for seeds in group] for group in runs]
+        reduce = stdev if kind == "std_over_seeds" else fmean
+        means = [fmean(reduce(seeds) for seeds in group) for group in found]
+        again = means[0] - sum(means[1:])
+        print(f"{table['name']:13} {label:30} {kind:16} {metric:22} {cell['text']:28} {again:.6f}")
+        assert abs(again - cell["value"]) <= 1e-9 * max(1, abs(again)), "the table does not follow from its files"
