@@ -13,6 +13,7 @@ from torch.nn.functional import normalize, relu
 
 from ggavatar.fields import Field
 from ggavatar.geometry import quaternion_multiply
+from ggavatar.perceptron import field_perceptron
 
 GEOMETRY_ROWS, COLOUR_ROWS = 10, 13
 """Rows of a basis: position 3, rotation 4 and log-scale 3; with colour 3 more."""
@@ -83,9 +84,8 @@ class BasisAdjuster(nn.Module):
         super().__init__()
         self.config = config
         self.field = field
-        self.basis_network = nn.ModuleList(
-            [linear(field.width, config.hidden, generator), linear(config.hidden, config.hidden, generator)]
-        )
+        self.first = linear(field.width, config.hidden, generator)
+        self.second = linear(config.hidden, config.hidden, generator)
         width = config.latent_hidden
         self.latent_network = nn.Sequential(
             linear(conditions, width, generator), nn.ReLU(),
@@ -97,7 +97,12 @@ class BasisAdjuster(nn.Module):
 
     def forward(self, x: Float[Tensor, "N 3"], condition: Float[Tensor, "*B C"]) -> Offsets:
         """Offsets at canonical positions `x` (m, no gradient); a batch of conditions shares one look at the field."""
-        return self.offsets(self.hidden(x), self.latent(condition))
+        latent = self.latent(condition)
+        weight, bias = self._contracted(latent)
+        first, second = self.first, self.second
+        last = weight.flatten(0, -2), bias.flatten()
+        rows = field_perceptron(self.field, x, (first.weight, first.bias), (second.weight, second.bias), last)
+        return Offsets.of(rows.unflatten(-1, bias.shape).movedim(0, -2))
 
     def latent(self, condition: Float[Tensor, "*B C"]) -> Float[Tensor, "*B L"]:
         """The latent vector f (Eq. 10)."""
@@ -105,8 +110,7 @@ class BasisAdjuster(nn.Module):
 
     def hidden(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
         """The last hidden layer h of the basis network; independent of the condition."""
-        first, second = self.basis_network
-        return relu(second(relu(first(self.field(x)))))
+        return relu(self.second(relu(self.first(self.field(x)))))
 
     @torch.no_grad()
     def cache(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
@@ -115,9 +119,12 @@ class BasisAdjuster(nn.Module):
 
     def offsets(self, hidden: Float[Tensor, "N H"], latent: Float[Tensor, "*B L"]) -> Offsets:
         """The product W·f (Eq. 11), with the last layer contracted with f first."""
-        weight = torch.tensordot(latent, self.last_weight, dims=([-1], [1]))
-        bias = latent @ self.last_bias.T
+        weight, bias = self._contracted(latent)
         return Offsets.of(hidden @ weight.transpose(-1, -2) + bias[..., None, :])
+
+    def _contracted(self, latent: Float[Tensor, "*B L"]) -> tuple[Float[Tensor, "*B R H"], Float[Tensor, "*B R"]]:
+        """A and c contracted with f."""
+        return torch.tensordot(latent, self.last_weight, dims=([-1], [1])), latent @ self.last_bias.T
 
     def basis(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N R L"]:
         """W itself (Eq. 9), for export and tests; N × rows × L numbers."""

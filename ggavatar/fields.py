@@ -131,9 +131,13 @@ class HashTriplane(nn.Module):
     def forward(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
         """Features at `x` (m), plane by plane, level by level; differentiable in the tables only."""
         unit = self.box.normalise(x.detach())
-        if self.config.features == 2 and compiled_for(unit, self.tables):
+        if self.compiled_at(x):
             return cast(Tensor, _CompiledLookup.apply(unit, self.tables, self.levels))
         return lookup_in_torch(unit, self.tables, self.levels)
+
+    def compiled_at(self, x: Float[Tensor, "N 3"]) -> bool:
+        """Whether the compiled kernels take these positions."""
+        return self.config.features == 2 and compiled_for(x, self.tables)
 
 
 def lookup_in_torch(
@@ -169,10 +173,7 @@ class _CompiledLookup(torch.autograd.Function):
     def forward(ctx: Any, unit: Tensor, tables: Tensor, levels: tuple[Level, ...]) -> Tensor:
         from ggavatar import triplane
 
-        # A position that is not a number must not become an index.
-        ctx.points = torch.nan_to_num(unit.T).contiguous().numpy()
-        ctx.layout = _layout(levels)
-        ctx.shape = tables.shape
+        ctx.points, ctx.layout, ctx.shape = kernel_points(unit), kernel_layout(levels), tables.shape
         features = torch.empty(len(unit), len(PLANES) * len(levels) * triplane.FEATURES)
         triplane.look_up(ctx.points, tables.detach().contiguous().numpy(), ctx.layout, features.numpy())
         return features
@@ -186,8 +187,13 @@ class _CompiledLookup(torch.autograd.Function):
         return None, gradient, None
 
 
+def kernel_points(unit: Float[Tensor, "N 3"]) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """Positions [3, N] as the kernels want them; one that is not a number must not become an index."""
+    return torch.nan_to_num(unit.T).contiguous().numpy()
+
+
 @functools.cache
-def _layout(levels: tuple[Level, ...]) -> triplane.Layout:
+def kernel_layout(levels: tuple[Level, ...]) -> triplane.Layout:
     """The levels of all three planes as the kernels want them."""
     from ggavatar import triplane
 

@@ -32,7 +32,7 @@ def _multiply_add(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) 
 
 @intrinsic
 def blend_pairs(typingctx: Any, source: Any, indices: Any, weights: Any, out: Any, at: Any) -> Any:
-    """Write the weighted sum of four pairs of `source`, which begin at flat `indices`, to the pair at flat index `at`."""
+    """Write the weighted sum of four pairs of `source` at flat `indices` to the pair at flat index `at` of `out`."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         total = ir.Constant(_PAIR, [0.0, 0.0])
@@ -43,7 +43,8 @@ def blend_pairs(typingctx: Any, source: Any, indices: Any, weights: Any, out: An
         builder.store(total, _pointer(context, builder, sig.args[3], args[3], args[4]), align=4)
         return context.get_dummy_value()
 
-    return types.void(source, types.UniTuple(types.int64, 4), types.UniTuple(types.float32, 4), out, types.int64), lower
+    four = types.UniTuple(types.int64, 4), types.UniTuple(types.float32, 4)
+    return types.void(source, *four, out, types.int64), lower
 
 
 @intrinsic

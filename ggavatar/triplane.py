@@ -1,7 +1,7 @@
 """Look-up in a hash tri-plane and its gradient (compiled; twin: `fields.lookup_in_torch`).
 
-Features are read point by point, one table at a time, so that a table stays in the cache. The gradient is summed per table
-by one thread in the order of the points: no atomics, and the same bits for any number of threads.
+Features are read point by point, one table at a time, so that a table stays in the cache. The gradient is summed per
+table by one thread in the order of the points: no atomics, and the same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Layout(NamedTuple):
 
 @inlined
 def _locate(across, down, scale, side, mask, first, entries, weights):
-    """Entries of the four grid vertices around points in [0, 1]² and their bilinear weights; `mask` is 0 for dense tables."""
+    """Entries and bilinear weights of the four grid vertices around points in [0, 1]²; `mask` is 0 for dense tables."""
     one, half, step = np.float32(1), np.float32(0.5), np.uint32(1)
     for n in range(np.uint64(across.size)):
         x, y = across[n] * scale + half, down[n] * scale + half

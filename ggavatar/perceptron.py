@@ -1,0 +1,102 @@
+"""A network of two rectified layers and a linear end over many rows, alone or at the end of a hash tri-plane."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import linear, relu
+
+from ggavatar.acceleration import compiled_for
+from ggavatar.fields import Field, HashTriplane, kernel_layout, kernel_points
+
+Layer = tuple[Tensor, Tensor]
+"""Weight [outputs, inputs] and bias of a linear layer."""
+
+
+def perceptron(features: Float[Tensor, "N D"], first: Layer, second: Layer, last: Layer) -> Float[Tensor, "N R"]:
+    """Last · relu(second · relu(first · features)); differentiable in everything."""
+    if compiled_for(features, *first, *second, *last):
+        return cast(Tensor, _Perceptron.apply(features, *first, *second, *last))
+    return in_torch(features, first, second, last)
+
+
+def field_perceptron(
+    field: Field, x: Float[Tensor, "N 3"], first: Layer, second: Layer, last: Layer
+) -> Float[Tensor, "N R"]:
+    """`perceptron` of a field's features at `x` (m); rows without gradient cost nothing on the way back."""
+    if isinstance(field, HashTriplane) and field.compiled_at(x) and compiled_for(*first, *second, *last):
+        unit = field.box.normalise(x.detach())
+        return cast(Tensor, _FieldPerceptron.apply(unit, field.tables, field.levels, *first, *second, *last))
+    return perceptron(field(x), first, second, last)
+
+
+def in_torch(features: Float[Tensor, "N D"], first: Layer, second: Layer, last: Layer) -> Float[Tensor, "N R"]:
+    """`perceptron` in plain torch: any dtype and device."""
+    return linear(relu(linear(relu(linear(features, *first)), *second)), *last)
+
+
+class _Perceptron(torch.autograd.Function):
+    """The compiled kernels of `ggavatar.perceptron_kernel`."""
+
+    @staticmethod
+    def forward(ctx: Any, features: Tensor, *parameters: Tensor) -> Tensor:
+        return _forward(ctx, features.detach().contiguous(), parameters)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, ...]:
+        rows, to_features, to_parameters = _backward(ctx, upstream)
+        scattered = torch.zeros(len(upstream), to_features.shape[1])
+        scattered[torch.from_numpy(rows)] = torch.from_numpy(to_features)
+        return scattered, *to_parameters
+
+
+class _FieldPerceptron(torch.autograd.Function):
+    """The same behind `ggavatar.triplane`; both leave out the rows without gradient on the way back."""
+
+    @staticmethod
+    def forward(ctx: Any, unit: Tensor, tables: Tensor, levels: tuple[Any, ...], *parameters: Tensor) -> Tensor:
+        from ggavatar import triplane
+
+        ctx.points, ctx.layout, ctx.shape = kernel_points(unit), kernel_layout(levels), tables.shape
+        features = torch.empty(len(unit), len(ctx.layout.scale) * triplane.FEATURES)
+        triplane.look_up(ctx.points, tables.detach().numpy(), ctx.layout, features.numpy())
+        return _forward(ctx, features, parameters)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        from ggavatar import triplane
+
+        rows, to_features, to_parameters = _backward(ctx, upstream)
+        to_tables = torch.zeros(ctx.shape)
+        triplane.spread(np.ascontiguousarray(ctx.points[:, rows]), to_features, ctx.layout, to_tables.numpy())
+        return None, to_tables, None, *to_parameters
+
+
+def _forward(ctx: Any, features: Tensor, parameters: tuple[Tensor, ...]) -> Tensor:
+    from ggavatar import perceptron_kernel as kernels
+
+    arrays = [parameter.detach().numpy() for parameter in parameters]
+    ctx.layers = tuple(kernels.pack(*arrays[at : at + 2]) for at in (0, 2, 4))
+    room = len(features) if any(ctx.needs_input_grad) else 0
+    kept = torch.empty(room * ctx.layers[0].outputs), torch.empty(room * ctx.layers[1].outputs)
+    result = torch.empty(len(features), ctx.layers[2].outputs)
+    kernels.forward(_flat(features), ctx.layers, (_flat(kept[0]), _flat(kept[1])), _flat(result))
+    ctx.save_for_backward(features, *kept)
+    return result
+
+
+def _backward(ctx: Any, upstream: Tensor) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], list[Tensor]]:
+    """Rows with a gradient, the gradient of their features, and that of every weight and bias."""
+    from ggavatar import perceptron_kernel as kernels
+
+    matrices = tuple(_flat(matrix) for matrix in (*ctx.saved_tensors, upstream.contiguous()))
+    found = kernels.backward(matrices, ctx.layers)
+    return found.rows, found.features, [torch.from_numpy(np.array(part)) for layer in found.layers for part in layer]
+
+
+def _flat(tensor: Tensor) -> Any:
+    return tensor.view(-1).numpy()
