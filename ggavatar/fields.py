@@ -27,6 +27,7 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 PRIME = 2654435761
 
 
+@runtime_checkable
 class Field(Protocol):
     """Anything that turns positions in metres into features."""
 
