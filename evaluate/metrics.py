@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-Image = UInt8[np.ndarray, "H W 3"] | Float[np.ndarray, "H W 3"]
-Weights = Float[np.ndarray, "H W"]
+Image = UInt8[np.ndarray, "_H _W 3"] | Float[np.ndarray, "_H _W 3"]
+Weights = Float[np.ndarray, "_H _W"]
+"""Sizes have underscores where a function compares them itself and says what is wrong."""
 
 
 def mean_squared_error(prediction: Image, target: Image) -> float:
@@ -57,7 +58,7 @@ def masked_mean_absolute_error(prediction: Image, target: Image, weights: Weight
     return _weighted(np.abs(difference).sum(axis=2), weights)
 
 
-def _weighted(errors: Float[np.ndarray, "H W"], weights: Weights) -> float | None:
+def _weighted(errors: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
     if weights.shape != errors.shape:
         raise ValueError(f"expected a mask of {errors.shape} px (height, width), got {weights.shape}")
     total = float(weights.sum(dtype=np.float64))

@@ -57,7 +57,7 @@ def ssim_3dgs(prediction: Image, target: Image) -> float:
     return _mean(ssim_map(prediction, target))
 
 
-def masked_mean(values: Float[np.ndarray, "H W C"], weights: Float[np.ndarray, "H W"]) -> float | None:
+def masked_mean(values: Float[np.ndarray, "_H _W C"], weights: Float[np.ndarray, "_H _W"]) -> float | None:
     """Mean of a map over a region, weighted; None for a mask without weight.
 
     Averaging the map leaves the windows whole; painting the outside black in both images would lift SSIM towards 0.99.
