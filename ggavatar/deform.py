@@ -4,43 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import normalize, relu
+from torch.nn.functional import relu
 
 from ggavatar.fields import Field
-from ggavatar.geometry import quaternion_multiply
+from ggavatar.offsets import Offsets, refine
 from ggavatar.perceptron import field_perceptron
+
+__all__ = ["COLOUR_ROWS", "GEOMETRY_ROWS", "AdjusterConfig", "BasisAdjuster", "Offsets", "refine"]
 
 GEOMETRY_ROWS, COLOUR_ROWS = 10, 13
 """Rows of a basis: position 3, rotation 4 and log-scale 3; with colour 3 more."""
-
-
-class Offsets(NamedTuple):
-    """Raw offsets of every Gaussian (Eq. 11); `refine` gives them units. Several conditions add a leading axis."""
-
-    means: Float[Tensor, "*B N 3"]
-    rotations: Float[Tensor, "*B N 4"]
-    log_scales: Float[Tensor, "*B N 3"]
-    colors: Float[Tensor, "*B N 3"] | None
-
-    @staticmethod
-    def of(rows: Float[Tensor, "*B N R"]) -> Offsets:
-        """Name the columns of the product W·f; 10 columns, or 13 with colour."""
-        return Offsets(
-            rows[..., :3], rows[..., 3:7], rows[..., 7:10], rows[..., 10:] if rows.shape[-1] > GEOMETRY_ROWS else None
-        )
-
-
-class Placement(NamedTuple):
-    """Refined geometry in the world."""
-
-    means: Float[Tensor, "N 3"]
-    quats: Float[Tensor, "N 4"]
-    scales: Float[Tensor, "N 3"]
 
 
 @dataclass(frozen=True)
@@ -102,7 +79,7 @@ class BasisAdjuster(nn.Module):
         first, second = self.first, self.second
         last = weight.flatten(0, -2), bias.flatten()
         rows = field_perceptron(self.field, x, (first.weight, first.bias), (second.weight, second.bias), last)
-        return Offsets.of(rows.unflatten(-1, bias.shape).movedim(0, -2))
+        return Offsets(rows.unflatten(-1, bias.shape).movedim(0, -2))
 
     def latent(self, condition: Float[Tensor, "*B C"]) -> Float[Tensor, "*B L"]:
         """The latent vector f (Eq. 10)."""
@@ -120,7 +97,7 @@ class BasisAdjuster(nn.Module):
     def offsets(self, hidden: Float[Tensor, "N H"], latent: Float[Tensor, "*B L"]) -> Offsets:
         """The product W·f (Eq. 11), with the last layer contracted with f first."""
         weight, bias = self._contracted(latent)
-        return Offsets.of(hidden @ weight.transpose(-1, -2) + bias[..., None, :])
+        return Offsets(hidden @ weight.transpose(-1, -2) + bias[..., None, :])
 
     def _contracted(self, latent: Float[Tensor, "*B L"]) -> tuple[Float[Tensor, "*B R H"], Float[Tensor, "*B R"]]:
         """A and c contracted with f."""
@@ -138,33 +115,3 @@ def linear(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
     nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
     nn.init.uniform_(layer.bias, -bound, bound, generator=generator)
     return layer
-
-
-def refine(
-    means: Float[Tensor, "N 3"],
-    quats: Float[Tensor, "N 4"],
-    scales: Float[Tensor, "N 3"],
-    offsets: Offsets,
-    unit: float = 0.01,
-    rotation: Literal["product", "add"] = "product",
-) -> Placement:
-    """The refined ⊕ of Eq. 12; zero offsets leave everything as it is.
-
-    Args:
-        means: Positions carried by the mesh, m.
-        quats: Unit quaternions carried by the mesh, wxyz.
-        scales: Standard deviations carried by the mesh, m.
-        offsets: W·f of one condition.
-        unit: Metres per unit of the position offset (docs/paper.md, A6).
-        rotation: "product" turns by the unit quaternion of (1, 0, 0, 0) + Δr in world axes, whatever the sign of
-            `quats` (A4); "add" adds Δr to the quaternion and normalises, as TalkingGaussian does.
-
-    Returns:
-        Means + unit·Δμ, unit quaternions, and scales · exp(Δs) (A5).
-    """
-    if rotation == "add":
-        turned = normalize(quats + offsets.rotations, dim=-1)
-    else:
-        identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
-        turned = quaternion_multiply(normalize(identity + offsets.rotations, dim=-1), quats)
-    return Placement(means + unit * offsets.means, turned, scales * torch.exp(offsets.log_scales))

@@ -1,0 +1,81 @@
+"""Quaternions wxyz inside compiled kernels, as four numbers in and four out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ggavatar.compiled import inlined
+
+
+@inlined
+def product(a, b):
+    """Hamilton product of two quaternions."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by + ay * bw + az * bx - ax * bz,
+        aw * bz + az * bw + ax * by - ay * bx,
+    )
+
+
+@inlined
+def conjugate(a):
+    """The inverse rotation of a unit quaternion."""
+    return a[0], -a[1], -a[2], -a[3]
+
+
+@inlined
+def inverse_length(a):
+    """One over the length, which is taken as 1e-12 at least, as torch's `normalize` does."""
+    length = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + a[3] * a[3])
+    return np.float32(1) / max(length, np.float32(1e-12))
+
+
+@inlined
+def scaled(a, factor):
+    """Every part times a factor."""
+    return a[0] * factor, a[1] * factor, a[2] * factor, a[3] * factor
+
+
+@inlined
+def through_normalisation(gradient, unit, inverse):
+    """Gradient by a quaternion from that by its `unit`; `inverse` is one over its length."""
+    along = gradient[0] * unit[0] + gradient[1] * unit[1] + gradient[2] * unit[2] + gradient[3] * unit[3]
+    return (
+        (gradient[0] - along * unit[0]) * inverse,
+        (gradient[1] - along * unit[1]) * inverse,
+        (gradient[2] - along * unit[2]) * inverse,
+        (gradient[3] - along * unit[3]) * inverse,
+    )
+
+
+@inlined
+def row(array, n):
+    """A quaternion from an array [N, 4]."""
+    return array[n, 0], array[n, 1], array[n, 2], array[n, 3]
+
+
+@inlined
+def put(array, n, a):
+    """A quaternion into an array [N, 4]."""
+    array[n, 0], array[n, 1], array[n, 2], array[n, 3] = a
+
+
+@inlined
+def from_matrix(m, n):
+    """Unit quaternion of rotation `n` of an array [N, 3, 3], by its largest part as `matrix_to_quaternion` does."""
+    one = np.float32(1)
+    m00, m11, m22 = m[n, 0, 0], m[n, 1, 1], m[n, 2, 2]
+    x, y, z = m[n, 2, 1] - m[n, 1, 2], m[n, 0, 2] - m[n, 2, 0], m[n, 1, 0] - m[n, 0, 1]
+    xy, xz, yz = m[n, 1, 0] + m[n, 0, 1], m[n, 0, 2] + m[n, 2, 0], m[n, 2, 1] + m[n, 1, 2]
+    s0, s1, s2, s3 = one + m00 + m11 + m22, one + m00 - m11 - m22, one - m00 + m11 - m22, one - m00 - m11 + m22
+    best, found = s0, (s0, x, y, z)
+    if s1 > best:
+        best, found = s1, (x, s1, xy, xz)
+    if s2 > best:
+        best, found = s2, (y, xy, s2, yz)
+    if s3 > best:
+        found = (z, xz, yz, s3)
+    return scaled(found, inverse_length(found))
