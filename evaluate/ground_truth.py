@@ -64,6 +64,6 @@ class Truth:
 def _check_shape(width: int, height: int, wanted_width: int, wanted_height: int) -> None:
     if abs(width * wanted_height - height * wanted_width) > 0.01 * width * wanted_height:
         raise InputError(
-            f"expected a capture with the shape of {wanted_width}×{wanted_height} px, found {width}×{height} px, which would "
+            f"expected a capture shaped like {wanted_width}×{wanted_height} px, found {width}×{height} px, which would "
             "be distorted; use --resolution native"
         )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from ggavatar.head.files import load_head
 
 from evaluate.drive import drives_of, fitted_to
 from evaluate.frame_files import frame_file
@@ -24,6 +23,7 @@ from evaluate.render_views import FRAMES, VIDEO, Output, View, claim, render_vie
 from evaluate.video import playback_fps
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.pictures import read_rgb, write_png
 from ggavatar.runs import Run, open_run

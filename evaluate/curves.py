@@ -1,0 +1,70 @@
+"""Metrics over the frames of a split, one line a method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from evaluate.catalogue import metric_of, title_of
+from evaluate.shown import Shown, measured, names_of
+from ggavatar.arrays import write_atomically
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B")
+"""Okabe and Ito's palette, which readers with any colour vision can tell apart."""
+
+
+def curves(shown: Sequence[Shown], metrics: Sequence[str] = ()) -> Figure:
+    """A panel a metric, with the mean of every method as a dashed line and the worst frame marked.
+
+    Args:
+        shown: Methods on one subject.
+        metrics: What to draw; by default the main table's metrics that were measured.
+    """
+    wanted = set(shown[0].evaluation.protocol.table_metrics)
+    chosen = list(metrics) or [name for name in measured(shown) if name in wanted] or measured(shown)[:1]
+    figure = Figure(figsize=(9.0, 0.9 + 1.9 * len(chosen)), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, name in zip(panels, chosen, strict=True):
+        _draw(panel, shown, name)
+    panels[-1].set_xlabel("source frame")
+    first = shown[0].evaluation
+    figure.suptitle(f"{first.subject} · {first.protocol.id} · {len(first.frames)} frames", fontsize=11)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=9
+    )
+    return figure
+
+
+def _draw(panel: Axes, shown: Sequence[Shown], name: str) -> None:
+    metric = metric_of(name)
+    for index, (one, label) in enumerate(zip(shown, names_of(shown), strict=True)):
+        color = COLORS[index % len(COLORS)]
+        frames = np.array(one.evaluation.frames)
+        values = np.array([np.nan if value is None else value for value in one.evaluation.values.get(name, ())])
+        values[~np.isfinite(values)] = np.nan
+        if not np.isfinite(values).any():
+            continue
+        marker = "o" if len(frames) <= 80 else ""
+        panel.plot(frames, values, color=color, linewidth=1.3, label=label, marker=marker, markersize=3.0)
+        panel.axhline(float(np.nanmean(values)), color=color, linewidth=0.9, linestyle="--", alpha=0.7)
+        worst = np.nanargmin(values) if metric.higher_is_better else np.nanargmax(values)
+        panel.plot(frames[worst], values[worst], "v" if metric.higher_is_better else "^", color=color, markersize=7)
+        panel.annotate(
+            str(frames[worst]), (frames[worst], values[worst]), (6, 0), textcoords="offset points", fontsize=8
+        )
+    unit = "" if metric.unit == "1" else f", {metric.unit}"
+    panel.set_ylabel(f"{title_of(name)}{unit} {metric.arrow}")
+    panel.grid(True, color="#dddddd", linewidth=0.6)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def write_curves(path: Path, shown: Sequence[Shown]) -> None:
+    """Draw the curves into a file; the suffix decides the format (.png, .pdf, .svg)."""
+    figure = curves(shown)
+    write_atomically(path, lambda stream: figure.savefig(stream, format=path.suffix[1:]))

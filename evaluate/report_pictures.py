@@ -1,0 +1,84 @@
+"""Pictures inside a report: which frames, and each as a data URI, within a budget of bytes."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from evaluate.heatmap import colored, error_map, shared_limit
+from evaluate.sheet import resized
+from evaluate.shown import Shown, worst_frames
+
+QUALITY, ERROR_QUALITY = 88, 70
+LARGEST_SIDE = 768
+
+
+def report_pictures(shown: Sequence[Shown], megabytes: float) -> tuple[list[dict[str, Any]], float]:
+    """Truth, renders and errors of as many frames as fit, and the error at the top of their colour scale.
+
+    The worst frames of the first method come first, then ever finer steps over the split, so a small budget still
+    shows the whole range.
+
+    Args:
+        shown: Methods with the same frames.
+        megabytes: Limit for the sum of all data URIs, 10⁶ bytes; at least one frame is kept.
+    """
+    frames = sorted(set.intersection(*(set(one.evaluation.frames) for one in shown)))
+    limit = shared_limit(error_map(*one.pair(frame)) for one in shown for frame in _spread(frames, 12))
+    entries: list[dict[str, Any]] = []
+    used = 0
+    for frame in dict.fromkeys([*worst_frames(shown, 6), *_refining(frames)]):
+        entry = _entry(shown, frame, limit)
+        size = len(entry["truth"]) + sum(map(len, entry["renders"])) + sum(map(len, entry["errors"]))
+        if entries and used + size > megabytes * 1e6:
+            break
+        used += size
+        entries.append(entry)
+    return sorted(entries, key=lambda entry: entry["frame"]), limit
+
+
+def _entry(shown: Sequence[Shown], frame: int, limit: float) -> dict[str, Any]:
+    pairs = [one.pair(frame) for one in shown]
+    errors = [colored(error_map(render, truth), limit) for render, truth in pairs]
+    return {
+        "frame": frame,
+        "truth": data_uri(_bounded(pairs[0][1]), QUALITY),
+        "renders": [data_uri(_bounded(render), QUALITY) for render, _ in pairs],
+        "errors": [data_uri(_bounded(error), ERROR_QUALITY) for error in errors],
+    }
+
+
+def data_uri(image: UInt8[np.ndarray, "H W 3"], quality: int) -> str:
+    """A picture as WebP in a data URI."""
+    written, encoded = cv2.imencode(".webp", image[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, quality])
+    if not written:
+        raise ValueError(f"expected a picture that WebP can hold, got {image.shape}")
+    return "data:image/webp;base64," + base64.b64encode(encoded.tobytes()).decode()
+
+
+def _bounded(image: np.ndarray) -> np.ndarray:
+    """No side longer than `LARGEST_SIDE`."""
+    factor = LARGEST_SIDE / max(image.shape[:2])
+    return image if factor >= 1 else resized(image, round(image.shape[1] * factor))
+
+
+def _spread(frames: Sequence[int], count: int) -> list[int]:
+    """At most `count` frames at even steps."""
+    return list(frames[:: max(1, -(-len(frames) // count))])
+
+
+def _refining(frames: Sequence[int]) -> Iterator[int]:
+    """All frames, in the order of halved steps: first, last, middle, quarters and so on."""
+    yield frames[0]
+    yield frames[-1]
+    parts = 2
+    while parts < 2 * len(frames):
+        for part in range(1, parts, 2):
+            yield frames[part * (len(frames) - 1) // parts]
+        parts *= 2
+    yield from frames

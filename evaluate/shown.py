@@ -1,0 +1,81 @@
+"""An evaluation together with the pictures it was measured on: what figures and reports are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from evaluate.catalogue import metric_of
+from evaluate.frame_files import frame_files
+from evaluate.results import Evaluation
+from ggavatar.errors import InputError
+from ggavatar.pictures import read_rgb
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One method on one subject, with its pictures.
+
+    Attributes:
+        evaluation: Numbers and protocol.
+        predictions: Folder of renders.
+        truth: Folder of ground truth.
+        fps: Frames per second of the source video.
+    """
+
+    evaluation: Evaluation
+    predictions: Path
+    truth: Path
+    fps: float = 25.0
+
+    @staticmethod
+    def in_folder(evaluation: Evaluation, home: Path, fps: float = 25.0) -> Shown:
+        """Pictures where `evaluate.predict` writes them."""
+        return Shown(evaluation, home / "predictions", home / "ground_truth", fps)
+
+    def pair(self, frame: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
+        """Render and ground truth of a frame; `InputError` if one is missing or they differ in size."""
+        files = frame_files(self.predictions), frame_files(self.truth)
+        for folder, found in zip((self.predictions, self.truth), files, strict=True):
+            if frame not in found:
+                raise InputError(f"{folder}: expected frame {frame}, found no such picture; evaluate again")
+        render, truth = read_rgb(files[0][frame]), read_rgb(files[1][frame])
+        if render.shape != truth.shape:
+            raise InputError(f"{files[0][frame]}: expected the size of the ground truth; evaluate again")
+        return render, truth
+
+
+def names_of(shown: Sequence[Shown]) -> list[str]:
+    """Distinct labels: the method, with its seed or a number where several share one."""
+    methods = [one.evaluation.method for one in shown]
+    labels = []
+    for index, one in enumerate(shown):
+        method, seed = one.evaluation.method, one.evaluation.seed
+        label = method if methods.count(method) == 1 or seed is None else f"{method} (seed {seed})"
+        labels.append(label if label not in labels else f"{label} #{index + 1}")
+    return labels
+
+
+def measured(shown: Sequence[Shown]) -> list[str]:
+    """Columns with at least one value, in the order of the protocol."""
+    columns = dict.fromkeys(name for one in shown for name in one.evaluation.protocol.columns)
+    return [name for name in columns if any(_any_value(one.evaluation, name) for one in shown)]
+
+
+def _any_value(evaluation: Evaluation, name: str) -> bool:
+    return any(value is not None for value in evaluation.values.get(name, ()))
+
+
+def worst_frames(shown: Sequence[Shown], count: int, metric: str = "psnr") -> list[int]:
+    """Frames of the first evaluation with the worst values, the worst first; identical frames come last."""
+    evaluation = shown[0].evaluation
+    values = evaluation.values.get(metric, ())
+    sign = 1.0 if metric_of(metric).higher_is_better else -1.0
+    known = [
+        (sign * value, frame) for value, frame in zip(values, evaluation.frames, strict=False) if value is not None
+    ]
+    return [frame for _, frame in sorted(known)[:count]]
