@@ -11,12 +11,13 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 PLAIN_EVERY = 10.0
 """Seconds between plain lines."""
 
 
+@runtime_checkable
 class Listener(Protocol):
     """Something that is told how a training goes."""
 

@@ -1,0 +1,45 @@
+"""Schedules against the paper's numbers."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from ggavatar.schedule import PAPER_STEPS, Training, log_linear, preset, scaled, seeded
+
+
+def test_position_rate_reaches_a_hundredth_at_half() -> None:
+    assert log_linear(0, 5e-3, 5e-5, 60_000) == pytest.approx(5e-3)
+    assert log_linear(30_000, 5e-3, 5e-5, 60_000) == pytest.approx(5e-4)
+    for step in (60_000, 120_000):
+        assert log_linear(step, 5e-3, 5e-5, 60_000) == pytest.approx(5e-5)
+
+
+def test_constants_scale_with_the_length() -> None:
+    assert [scaled(5_000, steps) for steps in (PAPER_STEPS, 12_000, 1_200)] == [5_000, 500, 50]
+
+
+def test_coarse_to_fine_in_thirds() -> None:
+    plan = Training(steps=100, resolutions=((0.25, 0.25), (0.25, 0.5)), smallest=64)
+    sizes = [plan.size_at(step, 512, 256) for step in (1, 25, 26, 50, 51, 100)]
+    assert sizes == [(128, 64)] * 2 + [(256, 128)] * 2 + [(512, 256)] * 2
+
+
+def test_small_frames_are_not_shrunk_below_the_limit() -> None:
+    plan = Training(steps=100, resolutions=((0.5, 0.25),), smallest=128)
+    assert plan.size_at(1, 160, 160) == (128, 128)
+    assert plan.size_at(1, 48, 48) == (48, 48)
+
+
+def test_paper_preset_is_as_printed() -> None:
+    plan = preset("paper", "cpu")
+    assert (plan.steps, plan.resolutions) == (120_000, ())
+
+
+def test_generators_depend_on_seed_and_stream_alone() -> None:
+    def draw(*key: int) -> list[float]:
+        return torch.rand(4, generator=seeded(*key)).tolist()
+
+    assert draw(42, 1, 7) == draw(42, 1, 7)
+    different = [draw(42, 1, 7), draw(43, 1, 7), draw(42, 2, 7), draw(42, 1, 8), draw(42, 7, 1)]
+    assert len({tuple(values) for values in different}) == 5
