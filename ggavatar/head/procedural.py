@@ -37,6 +37,7 @@ class _Assembly:
     faces: ndarray
     groups: dict[str, ndarray]
     lids: tuple[ndarray, ndarray]
+    lips: ndarray
 
 
 def procedural_head(identity: Sequence[float] | Float[ndarray, " I"] | None = None, *, seed: int = 0) -> HeadModel:
@@ -100,7 +101,7 @@ def _assemble(skin: Skin) -> _Assembly:
         faces.append(part.faces + count)
         count += len(part.vertices)
     groups["ears"] = np.concatenate((groups["left_ear"], groups["right_ear"]))
-    return _Assembly(np.concatenate(vertices), np.concatenate(faces), groups, (skin.left_lids, skin.right_lids))
+    return _Assembly(np.concatenate(vertices), np.concatenate(faces), groups, (skin.left_lids, skin.right_lids), skin.lips)
 
 
 def _glue(vertices: list, faces: list, count: int, loop: ndarray, rings: list[ndarray], *, inwards: bool) -> int:
@@ -148,6 +149,6 @@ def _as_model(generic: _Assembly, template: ndarray) -> HeadModel:
         parents=PARENTS,
         joint_names=JOINT_NAMES,
         version=VERSION,
-        regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in named_regions(points, groups, generic.lids).items()},
+        regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in named_regions(points, groups, generic.lids, generic.lips).items()},
         uv=real(unwrap(points, generic.faces, groups)),
     )

@@ -73,6 +73,11 @@ def identity_names() -> tuple[str, ...]:
     return tuple(warp.name for warp in WARPS)
 
 
+def warp_points(points: Float[ndarray, "N 3"], coefficients: Float[ndarray, " I"]) -> Float[ndarray, "N 3"]:
+    """Where an identity moves points near the generic head, m; for things worn on it."""
+    return points + sum(float(value) * warp.field(points) for warp, value in zip(WARPS, coefficients, strict=True) if value)
+
+
 def identity_basis(points: Float[ndarray, "V 3"], rigid: dict[str, ndarray], soft: ndarray) -> Float[ndarray, "V 3 I"]:
     """Displacement per unit of every coefficient, m.
 

@@ -41,11 +41,11 @@ def grid_faces(rows: int, columns: int, *, closed: bool = False) -> Int[ndarray,
 def lid_margin(loop: Float[ndarray, "N 3"], center: Float[ndarray, " 3"]) -> list[ndarray]:
     """Loops from the lid's outer edge over its thickness to behind the eyeball's front, from outside to inside."""
     offset = loop - center
-    direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
-    inner = np.minimum(np.linalg.norm(offset, axis=1), EYE_RADIUS + 0.0002)
-    edge = center + direction * np.maximum(inner, np.linalg.norm(offset, axis=1) - 0.0022)[:, None]
-    edge = np.where((np.abs(offset[:, :1]) > 0.0125), loop - (0, 0, 0.0018), edge)
-    behind = center + (edge - center) * (1.13, 1.35, 0.6)
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
+    edge = center + offset * ((EYE_RADIUS + np.minimum(length - EYE_RADIUS, 0.0003)) / length)
+    edge = np.where(length > EYE_RADIUS + 0.0022, loop - (0.0, 0.0, 0.0012) - 0.0004 * offset / length, edge)
+    pressed = offset * (0.86, 1.0, 1.0)
+    behind = center + pressed * (0.985 * EYE_RADIUS / np.linalg.norm(pressed, axis=1, keepdims=True))
     return [edge, behind]
 
 

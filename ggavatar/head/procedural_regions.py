@@ -9,13 +9,14 @@ from numpy import ndarray
 from ggavatar.head.procedural_skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
 
 
-def named_regions(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray, " R"]], lids: tuple[ndarray, ndarray]) -> dict[str, ndarray]:
+def named_regions(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray, " R"]], lids: tuple[ndarray, ndarray], lips: ndarray) -> dict[str, ndarray]:
     """Vertex sets of a generic head: the pieces themselves and parts of the skin; they may overlap.
 
     Args:
         points: Generic vertices, m.
         groups: Vertex sets of the pieces.
         lids: Loops of the left and the right lid margin.
+        lips: Loop of the lip margin.
     """
     skin = groups["skin"]
     x, y, z = np.abs(points[skin, 0]), points[skin, 1], points[skin, 2]
@@ -35,7 +36,7 @@ def named_regions(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray, 
     regions["mouth"] = np.unique(np.concatenate((regions["lips"], groups["mouth_bag"], regions["teeth"], groups["tongue"])))
     regions["eyes"] = np.unique(np.concatenate((regions["eyes"], groups["left_eyeball"], groups["right_eyeball"])))
     regions |= {name: groups[name] for name in groups if name not in ("skin",)}
-    regions |= {"skin": skin, "left_lid_margin": lids[0], "right_lid_margin": lids[1]}
+    regions |= {"skin": skin, "left_lid_margin": lids[0], "right_lid_margin": lids[1], "lip_margin": lips}
     return regions
 
 

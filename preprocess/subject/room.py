@@ -25,3 +25,8 @@ def room_to_camera() -> Float[ndarray, "4 4"]:
     pose[:3, :3] = np.stack((right, np.cross(forward, right), forward))
     pose[:3, 3] = -pose[:3, :3] @ _EYE
     return pose
+
+
+def camera_position() -> Float[ndarray, " 3"]:
+    """Where the camera stands, m."""
+    return _EYE.copy()

@@ -1,66 +1,143 @@
-"""Draws one frame of an embedded subject."""
+"""Draws a frame: surfaces, then strands, then lenses, at twice the resolution."""
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
-import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
 from preprocess.subject import room
+from preprocess.subject.backdrop import backdrop
+from preprocess.subject.character import LENS, MOUTH, Character, build_character
+from preprocess.subject.hair_light import strand_colors
+from preprocess.subject.hair_motion import lagging_poses, swung
+from preprocess.subject.light import lamps, shadow_map
 from preprocess.subject.mesh_renderer import project, rasterize, vertex_normals
 from preprocess.subject.motion import Motion
+from preprocess.subject.performance import Pose, pose, sticky_lips
+from preprocess.subject.shading import Look, Mesh, Shadow, shade
+from preprocess.subject.strand_renderer import draw_strands
+from preprocess.subject.texture_space import to_linear, to_srgb
+from preprocess.subject.wrinkles import add_folds
+
+_FINER = 2
+_EXPOSURE = 1.0
 
 
 class Studio:
-    """A person, a performance and a camera; `draw` may be called from several threads."""
+    """A subject, its performance, the room and its camera; `draw` may be called from several threads."""
 
-    def __init__(self, identity: int, motion: Motion, size: int, background: str) -> None:
-        self.identity = np.zeros(22)
-        self.head = procedural_head(self.identity)
+    def __init__(self, number: int, motion: Motion, size: int, background: str) -> None:
+        self._character = build_character(number)
         self._motion, self._size = motion, size
-        self._faces = self.head.faces.numpy()
-        colors = np.full((len(self.head.template), 3), (0.82, 0.66, 0.58))
-        for name, color in (("lips", (0.75, 0.45, 0.44)), ("teeth", (0.92, 0.9, 0.86)), ("tongue", (0.7, 0.35, 0.35)), ("mouth_bag", (0.35, 0.12, 0.12))):
-            colors[self.head.regions[name]] = color
-        colors[self.head.regions["scalp"]] = (0.2, 0.13, 0.1)
-        for name in ("left_eyeball", "right_eyeball"):
-            rows = self.head.regions[name]
-            depth = (self.head.template[rows] - self.head.template[rows].mean(0))[:, 2]
-            colors[rows] = 0.95
-            colors[rows[depth > 0.0107]] = (0.2, 0.3, 0.4)
-        self._colors = colors
+        self._lips = sticky_lips(self._character.head, procedural_head().template.numpy().astype(np.float64))
+        self._lights = lamps()
+        self._background = backdrop(background, size, self._character.person.wall, number)
+        hair = self._character.person.hair
+        self._lags = lagging_poses(motion.head_to_room, 0.65 if hair.length > 0.1 else 0.0)
+        self._faces, self._uv, self._material = _joined(self._character)
+        self._hair_color = to_linear(np.asarray(hair.color))[None] * self._character.groom.tone[:, None].astype(np.float32)
 
-    def vertices(self, index: int) -> Float[ndarray, "V 3"]:
-        """Tracked vertices in head space, m."""
-        motion = self._motion
-        drive = self.head.neutral_drive()
-        rotations = torch.zeros(5, 3)
-        rotations[2] = torch.from_numpy(motion.jaw[index])
-        rotations[3:] = torch.from_numpy(motion.eyes[index])
-        drive = dataclasses.replace(
-            drive,
-            expression=torch.from_numpy(motion.expression[index]).float(),
-            joint_rotations=rotations,
-            eyelids=torch.from_numpy(motion.eyelids[index]).float(),
-        )
-        return self.head.vertices(drive).numpy().astype(np.float64)
+    @property
+    def head(self) -> HeadModel:
+        """The tracked head."""
+        return self._character.head
+
+    @property
+    def identity(self) -> Float[ndarray, " I"]:
+        """Its identity coefficients."""
+        return self._character.identity
 
     def draw(self, index: int) -> tuple[UInt8[ndarray, "H W 3"], Float[ndarray, "H W"]]:
-        """The frame on its background, 8 bit sRGB, and the coverage of the person."""
-        size, pose = self._size, self._motion.head_to_room[index]
-        points = self.vertices(index) @ pose[:3, :3].T + pose[:3, 3]
-        seen = rasterize(project(points, room.intrinsics(2 * size), room.room_to_camera()), self._faces, 2 * size, 2 * size)
-        normals = vertex_normals(points, self._faces)
-        light = np.clip(normals @ (0.5, 0.6, 0.62), 0, 1)[:, None] * 0.8 + 0.25
-        shaded = np.clip(self._colors * light, 0, 1)
-        corners = self._faces[np.maximum(seen.face, 0)]
-        weights = np.concatenate((1 - seen.weights.sum(-1, keepdims=True), seen.weights), axis=-1)
-        color = np.einsum("hwk,hwkc->hwc", weights, shaded[corners])
-        alpha = (seen.face >= 0).astype(float)
-        image = np.where(alpha[..., None] > 0, color, (0.62, 0.66, 0.68))
-        image = image.reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
-        return np.round(image * 255).astype(np.uint8), alpha.reshape(size, 2, size, 2).mean(axis=(1, 3))
+        """One frame on its background, 8-bit sRGB, and the coverage of the person in [0, 1]."""
+        geometry = pose(self._character, self._lips, self._motion, index)
+        points = np.concatenate((geometry.head, geometry.torso, geometry.worn))
+        shadow = shadow_map(points, self._faces, self._lights)
+        color, alpha, depth = self._surfaces(points, geometry, shadow)
+        self._strands(geometry, index, shadow, color, alpha, depth)
+        self._glass(geometry, shadow, color, depth)
+        return self._developed(color, alpha)
+
+    def _surfaces(self, points: ndarray, geometry: Pose, shadow: Shadow) -> tuple[ndarray, ndarray, ndarray]:
+        """Premultiplied colour, coverage and depth of all opaque surfaces, in samples."""
+        side = self._size * _FINER
+        seen = rasterize(project(points, room.intrinsics(side), room.room_to_camera()), self._faces, side, side)
+        color = np.zeros((side, side, 3), np.float32)
+        mesh = Mesh(
+            points.astype(np.float32), vertex_normals(points, self._faces), self._open_sky(geometry), self._faces, self._uv, self._material
+        )
+        shade(seen.face, seen.weights, mesh, self._look(geometry), self._lights, shadow, color)
+        return color, (seen.face >= 0).astype(np.float32), seen.depth
+
+    def _open_sky(self, geometry: Pose) -> Float[ndarray, "V 1"]:
+        """Baked occlusion; in the mouth it depends on how far the lips are apart and how deep a point lies behind them."""
+        open_sky = self._character.occlusion.copy()
+        fine = self._character.fine.faces
+        inside = np.unique(fine[self._character.material == MOUTH])
+        depth = np.clip(0.053 - self._character.rest[inside, 2], 0.0, 0.08)
+        opening = geometry.mouth_open
+        open_sky[inside] = np.clip((opening + 0.0008) / (opening + 0.0008 + 0.8 * depth), 0.02, 1.0)
+        return open_sky[:, None]
+
+    def _look(self, geometry: Pose) -> Look:
+        """Textures of this frame: the head's relief with its present folds."""
+        relief = self._character.relief.copy()
+        add_folds(relief[0], self._character.folds, geometry.values, self._character.person.skin.age)
+        return Look(self._character.albedo, relief, self._character.materials)
+
+    def _strands(self, geometry: Pose, index: int, shadow: Shadow, color: ndarray, alpha: ndarray, depth: ndarray) -> None:
+        """Brows, lashes, beard and hair over the surfaces, in place."""
+        side = self._size * _FINER
+        groom, hair = self._character.groom, self._character.person.hair
+        parts = [(item.posed(geometry.head), item.colors, item.widths, np.full(item.local.shape[:2], 0.85)) for item in self._character.fuzz]
+        nodes = swung(groom.nodes, self._motion.head_to_room[index], self._lags[:, index], hair.flex)
+        parts.append((nodes, self._hair_color, np.full(len(nodes), hair.width), groom.depth))
+        for nodes, tones, widths, open_ in parts:
+            pixels = project(nodes.reshape(-1, 3), room.intrinsics(side), room.room_to_camera()).reshape(nodes.shape)
+            taper = np.interp(np.linspace(0, 1, nodes.shape[1]), [0, 0.5, 1.0], [1.0, 0.95, 0.35])
+            size = widths[:, None] * taper * room.intrinsics(side)[0, 0] / pixels[..., 2]
+            lit = strand_colors(nodes, tones, open_, self._lights, shadow)
+            draw_strands(pixels, lit, size, depth, color, alpha)
+
+    def _glass(self, geometry: Pose, shadow: Shadow, color: ndarray, depth: ndarray) -> None:
+        """Lenses: a slight tint and the lamp's reflection, in place."""
+        lens = self._character.lens
+        if not len(lens.faces):
+            return
+        side = self._size * _FINER
+        seen = rasterize(project(geometry.lens, room.intrinsics(side), room.room_to_camera()), lens.faces, side, side)
+        face = np.where(seen.depth < depth, seen.face, -1)
+        mesh = Mesh(
+            geometry.lens.astype(np.float32),
+            vertex_normals(geometry.lens, lens.faces),
+            np.ones((len(geometry.lens), 1), np.float32),
+            lens.faces.astype(np.int64),
+            lens.uv,
+            np.full(len(lens.faces), LENS, np.uint8),
+        )
+        shine = np.zeros_like(color)
+        dark = Look(np.zeros((3, 2, 2, 3), np.float32), np.zeros((3, 2, 2), np.float32), self._character.materials)
+        shade(face, seen.weights, mesh, dark, self._lights, shadow, shine)
+        color[face >= 0] = 0.93 * color[face >= 0] + 0.35 * shine[face >= 0]
+
+    def _developed(self, color: ndarray, alpha: ndarray) -> tuple[ndarray, ndarray]:
+        """Average the samples, expose, and put the person in front of the background, in sRGB."""
+        shape = (self._size, _FINER, self._size, _FINER)
+        exposed = 1 - np.exp(-_EXPOSURE * 1.25 * color)
+        premultiplied = exposed.reshape(*shape, 3).mean(axis=(1, 3))
+        coverage = alpha.reshape(shape).mean(axis=(1, 3))
+        straight = to_srgb(premultiplied / np.maximum(coverage, 1e-4)[..., None])
+        image = straight * coverage[..., None] + self._background * (1 - coverage[..., None])
+        return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8), coverage
+
+
+def _joined(character: Character) -> tuple[ndarray, ndarray, ndarray]:
+    """Faces, texture coordinates and materials of head, garment and worn things in one numbering."""
+    pieces = (character.torso, character.worn)
+    starts = np.cumsum([len(character.rest), len(character.torso.points)])
+    faces = [character.fine.faces, *(piece.faces + start for piece, start in zip(pieces, starts, strict=True))]
+    uv = [character.uv, *(piece.uv for piece in pieces)]
+    material = [character.material, *(piece.material for piece in pieces)]
+    return np.concatenate(faces), np.concatenate(uv), np.concatenate(material)

@@ -1,0 +1,268 @@
+"""Everything about an embedded subject that does not change from frame to frame: meshes, textures, strands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from ggavatar.head.model import HeadModel
+from ggavatar.head.procedural import procedural_head, procedural_names
+from ggavatar.head.procedural_identity import warp_points
+from ggavatar.head.procedural_parts import Part
+from preprocess.subject.accessories import beanie, glasses_frame, lenses
+from preprocess.subject.fuzz import Fuzz, beard, brows, lashes
+from preprocess.subject.hair import Groom, grow, scalp_density, scatter
+from preprocess.subject.mesh_renderer import vertex_normals
+from preprocess.subject.light import sky_share
+from preprocess.subject.person import PEOPLE, Person
+from preprocess.subject.skin_paint import paint_head, paint_relief
+from preprocess.subject.subdivision import Subdivision, subdivide
+from preprocess.subject.texture_space import Texels, locate, noise, to_linear
+from preprocess.subject.torso import build_torso, paint_garment
+from preprocess.subject.wrinkles import Patch, bulge_fields, patches
+
+TEXTURE = 1024
+SKIN, EYE, MOUTH, LIPS, CLOTH, HAT, FRAME, LENS = range(8)
+
+
+@dataclass(frozen=True)
+class Worn:
+    """A rigid mesh beside the head: vertices at rest in m, faces, texture coordinates per corner, material of each face."""
+
+    points: Float[ndarray, "V 3"]
+    faces: Int[ndarray, "F 3"]
+    uv: Float[ndarray, "F 3 2"]
+    material: UInt8[ndarray, " F"]
+
+
+@dataclass(frozen=True)
+class Character:
+    """One subject, ready to be animated.
+
+    Attributes:
+        person: Its description.
+        identity: Identity coefficients.
+        head: The tracked head: what a user's tracker would give.
+        fine: Subdivision of its triangles.
+        uv: Texture coordinates of the fine corners.
+        material: Material of the fine faces.
+        occlusion: Share of sky over the fine vertices.
+        rest: Generic position of the fine vertices, m.
+        torso: Garment, fixed in the room.
+        worn: Glasses or hat, fixed to the head; maybe empty.
+        lens: Lenses; maybe empty.
+        albedo: Linear colour of the head's, the garment's and the worn things' texture.
+        relief: Heights of the same textures, m.
+        folds: Pieces of the head's relief that come with expressions.
+        bulges: Displacements of the fine vertices that come with expressions.
+        groom: Scalp hair.
+        fuzz: Brows, lashes, beard.
+        materials: One row per material for the shader.
+    """
+
+    person: Person
+    identity: Float[ndarray, " I"]
+    head: HeadModel
+    fine: Subdivision
+    uv: Float[ndarray, "G 3 2"]
+    material: UInt8[ndarray, " G"]
+    occlusion: Float[ndarray, " W"]
+    rest: Float[ndarray, "W 3"]
+    torso: Worn
+    worn: Worn
+    lens: Worn
+    albedo: Float[ndarray, "3 R R 3"]
+    relief: Float[ndarray, "3 R R"]
+    folds: list[Patch]
+    bulges: Float[ndarray, "B 2 W 3"]
+    groom: Groom
+    fuzz: tuple[Fuzz, ...]
+    materials: Float[ndarray, "M 5"]
+
+
+def build_character(number: int) -> Character:
+    """Build one of the five subjects (1 to 5); deterministic."""
+    person = PEOPLE[number]
+    names = procedural_names()[1]
+    identity = np.array([person.identity.get(name, 0.0) for name in names])
+    head, generic = procedural_head(identity), procedural_head()
+    faces = head.faces.numpy()
+    fine = subdivide(faces, len(head.template))
+    rest = fine.weights @ generic.template.numpy().astype(np.float64)
+    shape = fine.weights @ head.template.numpy().astype(np.float64)
+    groups = _face_groups(head)
+    assert head.uv is not None
+    texels = locate(generic.template.numpy().astype(np.float64), faces, head.uv.numpy(), TEXTURE)
+    torso, worn, lens = _torso(person), _worn(person, identity), _lens(person, identity)
+    albedo, relief = _textures(texels, groups, person, number)
+    on_skin = np.isin(np.arange(len(rest)), fine.faces[np.repeat(_is(groups["skin"], faces), 4)])
+    return Character(
+        person=person,
+        identity=identity,
+        head=head,
+        fine=fine,
+        uv=fine.corners(head.uv.numpy()).astype(np.float32),
+        material=np.repeat(_materials_of_faces(head, groups), 4),
+        occlusion=_occlusion(shape, fine.faces, torso, worn),
+        rest=rest,
+        torso=torso,
+        worn=worn,
+        lens=lens,
+        albedo=albedo,
+        relief=relief,
+        folds=patches(texels),
+        bulges=bulge_fields(rest, on_skin),
+        groom=_groom(generic, identity, person, groups, number),
+        fuzz=_fuzz(head, fine, rest, shape, groups, person, number),
+        materials=_shader_rows(person),
+    )
+
+
+def _face_groups(head: HeadModel) -> dict[str, ndarray]:
+    """Faces of every piece."""
+    faces = head.faces.numpy()
+    pieces = ("skin", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "left_ear", "right_ear")
+    groups = {name: np.flatnonzero(np.isin(faces, head.regions[name].numpy()).all(axis=1)) for name in pieces}
+    taken = np.concatenate(list(groups.values()))
+    return groups | {"mouth_bag": np.setdiff1d(np.arange(len(faces)), taken)}
+
+
+def _is(rows: ndarray, faces: ndarray) -> ndarray:
+    mask = np.zeros(len(faces), bool)
+    mask[rows] = True
+    return mask
+
+
+def _materials_of_faces(head: HeadModel, groups: dict[str, ndarray]) -> UInt8[ndarray, " F"]:
+    """Material of every coarse face."""
+    material = np.full(len(head.faces), SKIN, np.uint8)
+    for name in ("left_eyeball", "right_eyeball"):
+        material[groups[name]] = EYE
+    for name in ("mouth_bag", "tongue", "upper_teeth", "lower_teeth"):
+        material[groups[name]] = MOUTH
+    lips = np.isin(head.faces.numpy(), head.regions["lips"].numpy()).all(axis=1)
+    material[lips & (material == SKIN)] = LIPS
+    return material
+
+
+def _shader_rows(person: Person) -> Float[ndarray, "M 5"]:
+    """Texture, roughness, gloss, scattering and mirror of every material."""
+    gloss = person.skin.gloss
+    return np.array(
+        [
+            (0, 0.46, 1.15 * gloss, 1.0, 0.0),
+            (0, 0.30, 0.40, 0.30, 1.0),
+            (0, 0.30, 1.30, 0.45, 0.0),
+            (0, 0.34, 1.40, 0.80, 0.0),
+            (1, 0.80, 0.30, 0.15, 0.0),
+            (2, 0.85, 0.25, 0.15, 0.0),
+            (2, 0.28, 1.60, 0.0, 0.6),
+            (2, 0.10, 0.0, 0.0, 1.0),
+        ],
+        np.float32,
+    )
+
+
+def _torso(person: Person) -> Worn:
+    torso = build_torso(person.garment)
+    return Worn(torso.points, torso.faces, torso.uv.astype(np.float32), np.full(len(torso.faces), CLOTH, np.uint8))
+
+
+def _placed(part: Part, uv: ndarray, identity: ndarray, material: int) -> Worn:
+    points = warp_points(part.vertices, identity * _rigid_identity())
+    return Worn(points, part.faces, uv[part.faces].astype(np.float32), np.full(len(part.faces), material, np.uint8))
+
+
+def _rigid_identity() -> Float[ndarray, " I"]:
+    """Identity coefficients that change what hats and glasses sit on."""
+    kept = ("head_width", "head_height", "head_depth", "nose_bridge", "eye_distance", "brow_ridge")
+    return np.array([float(name in kept) for name in procedural_names()[1]])
+
+
+def _worn(person: Person, identity: ndarray) -> Worn:
+    """Glasses (texture coordinates in the lowest tenth) or a hat (above), or nothing."""
+    if person.glasses is not None:
+        part = glasses_frame()
+        return _placed(part, np.full((len(part.vertices), 2), 0.05), identity, FRAME)
+    if person.hat is not None:
+        part, uv = beanie()
+        return _placed(part, uv * (1.0, 0.85) + (0.0, 0.13), identity, HAT)
+    return _nothing()
+
+
+def _lens(person: Person, identity: ndarray) -> Worn:
+    if person.glasses is None:
+        return _nothing()
+    part = lenses()
+    return _placed(part, np.full((len(part.vertices), 2), 0.05), identity, LENS)
+
+
+def _nothing() -> Worn:
+    return Worn(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3, 2), np.float32), np.zeros(0, np.uint8))
+
+
+def _textures(texels: Texels, groups: dict[str, ndarray], person: Person, seed: int) -> tuple[ndarray, ndarray]:
+    """Linear colours and heights of head, garment and worn things."""
+    head, head_relief = to_linear(paint_head(texels, groups, person, seed * 100)), paint_relief(texels, groups, seed * 100)
+    cloth, cloth_relief = paint_garment(person.garment, TEXTURE, seed * 100 + 50)
+    other, other_relief = _paint_worn(person, seed * 100 + 70)
+    return np.stack((head, cloth, other)).astype(np.float32), np.stack((head_relief, cloth_relief, other_relief)).astype(np.float32)
+
+
+def _paint_worn(person: Person, seed: int) -> tuple[ndarray, ndarray]:
+    """Knitted wool above, the glasses' colour below."""
+    v, u = np.meshgrid((np.arange(TEXTURE) + 0.5) / TEXTURE, (np.arange(TEXTURE) + 0.5) / TEXTURE, indexing="ij")
+    ribs = np.sin(2 * np.pi * 88 * u)
+    stitches = np.sin(2 * np.pi * 120 * v + 1.5 * ribs)
+    flat = np.stack((u.ravel(), v.ravel(), np.zeros(u.size)), axis=1)
+    wool = (0.86 + 0.10 * ribs + 0.05 * stitches) * (1 + 0.08 * noise(flat, 0.01, seed).reshape(u.shape))
+    image = np.asarray(person.hat or (0.5, 0.5, 0.5)) * wool[..., None]
+    image[v < 0.1] = person.glasses or (0.1, 0.1, 0.1)
+    relief = np.where(v < 0.1, 0.0, 0.0007 * ribs + 0.00025 * stitches)
+    return to_linear(image), relief
+
+
+def _occlusion(shape: ndarray, faces: ndarray, torso: Worn, worn: Worn) -> Float[ndarray, " W"]:
+    """Ambient occlusion of head, garment and worn things at rest, in this order."""
+    points = np.concatenate((shape, torso.points, worn.points))
+    starts = np.cumsum((0, len(shape), len(torso.points)))
+    joined = np.concatenate([part + start for part, start in zip((faces, torso.faces, worn.faces), starts, strict=True)])
+    return sky_share(points, vertex_normals(points, joined).astype(np.float64), joined).astype(np.float32)
+
+
+def _groom(generic: HeadModel, identity: ndarray, person: Person, groups: dict[str, ndarray], seed: int) -> Groom:
+    """Scalp hair on the generic head, then moved with the person's warps."""
+    points, faces = generic.template.numpy().astype(np.float64), generic.faces.numpy()
+    density = scalp_density(points[faces].mean(axis=1), _is(groups["skin"], faces))
+    if person.hat is not None:
+        density = density * (points[faces].mean(axis=1)[:, 1] < 0.045)
+    face, weights = scatter(points, faces, density, person.hair.strands, np.random.default_rng([seed, 2]))
+    groom = grow(np.einsum("sk,skc->sc", weights, points[faces[face]]), person.hair, seed)
+    shape = (identity * _rigid_identity())[None] * np.ones((1, 1))
+    nodes = warp_points(groom.nodes.reshape(-1, 3), shape[0]).reshape(groom.nodes.shape)
+    return Groom(nodes, groom.tone, groom.depth)
+
+
+def _fuzz(
+    head: HeadModel, fine: Subdivision, rest: ndarray, shape: ndarray, groups: dict[str, ndarray], person: Person, seed: int
+) -> tuple[Fuzz, ...]:
+    """Brows, lashes and beard. Where they grow is decided on the generic head; their frames are those of the person's own skin."""
+    skin = np.repeat(_is(groups["skin"], head.faces.numpy()), 4)
+    loops = tuple(_fine_loop(head.regions[name].numpy(), fine) for name in ("left_lid_margin", "right_lid_margin"))
+    made = (brows(rest, fine.faces, skin, person, seed), beard(rest, fine.faces, skin, person, seed))
+    found = [item for item in made if item is not None]
+    return (*found, lashes(rest, (loops[0], loops[1]), fine.faces[skin], person, seed))
+
+
+def _fine_loop(loop: ndarray, fine: Subdivision) -> ndarray:
+    """A coarse loop with the midpoints of its edges in between."""
+    weights = fine.weights.tocsc()
+    middle = []
+    for first, second in zip(loop, np.roll(loop, -1), strict=True):
+        both = np.intersect1d(weights[:, [first]].nonzero()[0], weights[:, [second]].nonzero()[0])
+        values = weights[both][:, [first, second]].toarray().min(axis=1)
+        middle.append(both[np.argmax(values)])
+    return np.stack((loop, np.asarray(middle)), axis=1).ravel()

@@ -1,0 +1,76 @@
+"""How scalp hair lags: damped springs that follow the head's pose, in bands of different stiffness, blended along the strands."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.spatial.transform import Rotation, Slerp
+
+from preprocess.subject.motion import FPS
+
+BANDS = (1.5, 2.3, 3.4)
+_DAMPING, _STEPS = 0.32, 8
+
+
+def lagging_poses(head_to_room: Float[ndarray, "T 4 4"], hang: float) -> Float[ndarray, "B T 4 4"]:
+    """For every band of natural frequencies (Hz), the pose that a tuft of hair would like to have in each frame.
+
+    The pose is a damped spring drawn to the head's pose; its tilt is partly that of a plumb line, by `hang` from 0 to 1.
+    """
+    upright = _upright(head_to_room, hang)
+    target = np.concatenate((Rotation.from_matrix(upright[:, :3, :3]).as_rotvec(), upright[:, :3, 3]), axis=1)
+    poses = np.tile(np.eye(4), (len(BANDS), len(target), 1, 1))
+    for band, frequency in enumerate(BANDS):
+        state = _springs(target, frequency)
+        poses[band, :, :3, :3] = Rotation.from_rotvec(state[:, :3]).as_matrix()
+        poses[band, :, :3, 3] = state[:, 3:]
+    return poses
+
+
+def _springs(target: ndarray, frequency: float) -> ndarray:
+    """Semi-implicit Euler of a damped oscillator per column, eight steps a frame."""
+    omega, step = 2 * np.pi * frequency, 1 / (FPS * _STEPS)
+    place, speed = target[0].copy(), np.zeros(target.shape[1])
+    result = np.empty_like(target)
+    for frame in range(len(target)):
+        before = target[max(frame - 1, 0)]
+        for substep in range(_STEPS):
+            goal = before + (target[frame] - before) * (substep + 1) / _STEPS
+            speed = speed + step * (omega**2 * (goal - place) - 2 * _DAMPING * omega * speed)
+            place = place + step * speed
+        result[frame] = place
+    return result
+
+
+def _upright(poses: ndarray, hang: float) -> ndarray:
+    """Poses whose pitch and roll are reduced by `hang`, about the middle of the head, so that long hair falls straight."""
+    if hang <= 0:
+        return poses
+    turned = Rotation.from_matrix(poses[:, :3, :3])
+    forwards = turned.as_matrix()[:, :, 2]
+    level = Rotation.from_euler("Y", np.arctan2(forwards[:, 0], forwards[:, 2]))
+    result = poses.copy()
+    pivot = np.array([0.0, 0.06, -0.03])
+    for frame in range(len(poses)):
+        between = Slerp([0.0, 1.0], Rotation.concatenate((turned[frame : frame + 1], level[frame : frame + 1])))
+        rotation = between(hang).as_matrix()
+        result[frame, :3, :3] = rotation
+        result[frame, :3, 3] = poses[frame, :3, :3] @ pivot + poses[frame, :3, 3] - rotation @ pivot
+    return result
+
+
+def swung(nodes: Float[ndarray, "S N 3"], head: Float[ndarray, "4 4"], lags: Float[ndarray, "B 4 4"], flex: float) -> Float[ndarray, "S N 3"]:
+    """Nodes in the room: roots on the head, tips as far towards their band's lagging pose as `flex` allows."""
+    at_head = nodes @ head[:3, :3].T + head[:3, 3]
+    if flex <= 0:
+        return at_head
+    share = np.linspace(0, 1, nodes.shape[1])[None, :, None] ** 1.5
+    length = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=1)[:, None, None]
+    loose = flex * share * np.clip(length / 0.06, 0.1, 1.0)
+    result = at_head.copy()
+    for band, pose in enumerate(lags):
+        chosen = slice(band, None, len(lags))
+        lagging = nodes[chosen] @ pose[:3, :3].T + pose[:3, 3]
+        result[chosen] += loose[chosen] * (lagging - at_head[chosen])
+    return result

@@ -1,0 +1,127 @@
+"""One frame's geometry: the tracked head plus everything that a linear skin cannot express, in the room."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from ggavatar.head.model import HeadModel
+from ggavatar.head.procedural import procedural_names
+from ggavatar.head.procedural_expression import lower_share
+from preprocess.subject.character import Character
+from preprocess.subject.motion import Motion
+from preprocess.subject.texture_space import step
+from preprocess.subject.wrinkles import bulge_strengths
+
+_STUCK, _FREE = 0.0004, 0.0030
+
+
+def tracked_vertices(head: HeadModel, motion: Motion, index: int) -> Float[ndarray, "V 3"]:
+    """What the head model alone makes of a frame, in head space, m."""
+    rotations = torch.zeros(len(head.parents), 3)
+    rotations[head.joint("jaw")] = torch.from_numpy(motion.jaw[index])
+    rotations[head.joint("left_eye")] = torch.from_numpy(motion.eyes[index, 0])
+    rotations[head.joint("right_eye")] = torch.from_numpy(motion.eyes[index, 1])
+    drive = dataclasses.replace(
+        head.neutral_drive(),
+        expression=torch.from_numpy(motion.expression[index]).float(),
+        joint_rotations=rotations,
+        eyelids=torch.from_numpy(motion.eyelids[index]).float(),
+    )
+    with torch.no_grad():
+        return head.vertices(drive).numpy().astype(np.float64)
+
+
+@dataclass(frozen=True)
+class StickyLips:
+    """Which vertices follow which pair of the lip margin when it sticks."""
+
+    upper: ndarray
+    lower: ndarray
+    cling: ndarray
+    vertices: ndarray
+    pair: ndarray
+    weight: ndarray
+
+    def apply(self, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V 3"]:
+        """Close small gaps, those near the corners up to 3 mm, as moist lips do."""
+        gap = points[self.upper] - points[self.lower]
+        size = np.linalg.norm(gap, axis=1)
+        hold = 1 - step(0.0, 1.0, (size - _STUCK) / (self.cling * (_FREE - _STUCK) + 1e-6))
+        pull = 0.5 * gap * hold[:, None]
+        moved = points.copy()
+        sign = np.where(self.weight > 0, -1.0, 1.0)
+        moved[self.vertices] += (sign * np.abs(self.weight))[:, None] * pull[self.pair]
+        return moved
+
+
+def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
+    """Pairs of the lip margin and the vertices around them; positive weights belong to the upper lip."""
+    loop = head.regions["lip_margin"].numpy()
+    half = len(loop) // 2
+    upper, lower = loop[1:half], loop[:half:-1]
+    across = np.abs(generic[upper, 0]) / np.abs(generic[loop, 0]).max()
+    skin = np.concatenate((head.regions["skin"].numpy(), head.regions["mouth_bag"].numpy()))
+    near = skin[np.abs(generic[skin] - generic[loop].mean(axis=0)).max(axis=1) < 0.030]
+    away, pair = cKDTree(generic[upper]).query(generic[near])
+    below = lower_share(generic[near]) > 0.5
+    below |= np.isin(near, lower)
+    below &= ~np.isin(near, upper)
+    weight = np.exp(-((away / 0.0032) ** 2)) * np.where(below, -1.0, 1.0)
+    kept = np.abs(weight) > 0.02
+    return StickyLips(upper, lower, 0.25 + 0.75 * across**3, near[kept], pair[kept], weight[kept])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Posed vertices in the room, m: head, garment, worn things, lenses; and named expression values."""
+
+    head: Float[ndarray, "W 3"]
+    torso: Float[ndarray, "A 3"]
+    worn: Float[ndarray, "B 3"]
+    lens: Float[ndarray, "C 3"]
+    values: dict[str, float]
+    mouth_open: float
+
+
+def pose(character: Character, lips: StickyLips, motion: Motion, index: int) -> Pose:
+    """All geometry of a frame."""
+    values = dict(zip(procedural_names()[0], motion.expression[index].tolist(), strict=True))
+    tracked = lips.apply(tracked_vertices(character.head, motion, index))
+    fine = character.fine.weights @ tracked
+    fine = fine + np.einsum("bs,bsvc->vc", bulge_strengths(values), character.bulges)
+    opening = float(np.linalg.norm(tracked[lips.upper] - tracked[lips.lower], axis=1).mean())
+    head, torso = motion.head_to_room[index], motion.torso_to_room[index]
+    return Pose(
+        head=_twisted(fine, character.rest[:, 1], head, torso),
+        torso=_moved(character.torso.points, torso),
+        worn=_moved(character.worn.points, head),
+        lens=_moved(character.lens.points, head),
+        values=values,
+        mouth_open=opening,
+    )
+
+
+def _moved(points: ndarray, transform: ndarray) -> ndarray:
+    return points @ transform[:3, :3].T + transform[:3, 3]
+
+
+def _twisted(points: ndarray, height: ndarray, head: ndarray, torso: ndarray) -> ndarray:
+    """Head above, torso below, and in between a neck that twists: the relative rotation is taken in part."""
+    share = step(-0.158, -0.072, height)
+    between = np.linalg.inv(torso) @ head
+    turn = Rotation.from_matrix(between[:3, :3]).as_rotvec()
+    middle = (share > 0) & (share < 1)
+    moved = np.where((share >= 1)[:, None], _moved(points, between), points)
+    rotations = Rotation.from_rotvec(share[middle, None] * turn).as_matrix()
+    pivot = np.array([0.0, -0.11, -0.045])
+    shift = between[:3, 3] - (pivot - between[:3, :3] @ pivot)
+    moved[middle] = np.einsum("nij,nj->ni", rotations, points[middle] - pivot) + pivot + share[middle, None] * shift
+    return _moved(moved, torso)

@@ -1,0 +1,68 @@
+"""Strands as thin camera-facing lines, blended back to front over an image with a z-buffer."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from ggavatar.compiled import kernel
+
+_BEHIND = 0.0015
+
+
+def draw_strands(
+    pixels: Float[ndarray, "S N 3"],
+    colors: Float[ndarray, "S N 3"],
+    widths: Float[ndarray, "S N"],
+    depth: Float[ndarray, "H W"],
+    color: Float[ndarray, "H W 3"],
+    alpha: Float[ndarray, "H W"],
+) -> None:
+    """Draw S strands of N nodes over `color` (premultiplied) and `alpha`, in place.
+
+    Args:
+        pixels: Position in samples and camera z, m.
+        colors: Linear colour of every node.
+        widths: Width in samples; lines thinner than a sample cover it in part.
+        depth: Camera z of the surfaces, m; strands more than 1.5 mm behind are hidden.
+        color: Image so far.
+        alpha: Coverage so far.
+    """
+    middle = (pixels[:, 1:, 2] + pixels[:, :-1, 2]).ravel()
+    order = np.argsort(-middle, kind="stable")
+    _draw(*(np.ascontiguousarray(values, np.float32) for values in (pixels, colors, widths)), order, depth, color, alpha)
+
+
+@kernel
+def _draw(pixels, colors, widths, order, depth, color, alpha):
+    """Walk the segments in `order`, each inside its bounding box."""
+    height, width = depth.shape
+    segments = pixels.shape[1] - 1
+    for item in range(order.shape[0]):
+        strand, node = order[item] // segments, order[item] % segments
+        ax, ay, az = pixels[strand, node, 0], pixels[strand, node, 1], pixels[strand, node, 2]
+        bx, by, bz = pixels[strand, node + 1, 0], pixels[strand, node + 1, 1], pixels[strand, node + 1, 2]
+        if min(az, bz) < 0.05:
+            continue
+        thickness = 0.5 * (widths[strand, node] + widths[strand, node + 1])
+        share, half = min(thickness, 1.0), 0.5 * max(thickness, 1.0)
+        reach = half + 0.5
+        left, right = max(0, int(min(ax, bx) - reach)), min(width - 1, int(max(ax, bx) + reach))
+        top, bottom = max(0, int(min(ay, by) - reach)), min(height - 1, int(max(ay, by) + reach))
+        dx, dy = bx - ax, by - ay
+        squared = max(dx * dx + dy * dy, 1e-6)
+        length = np.sqrt(squared)
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                px, py = column + 0.5 - ax, row + 0.5 - ay
+                along = (px * dx + py * dy) / squared
+                if along < 0.0 or along >= 1.0:
+                    continue
+                cover = min(max(reach - abs(px * dy - py * dx) / length, 0.0), 1.0) * share
+                if cover <= 0.0 or az + along * (bz - az) > depth[row, column] + _BEHIND:
+                    continue
+                for channel in range(3):
+                    tone = colors[strand, node, channel] * (1 - along) + colors[strand, node + 1, channel] * along
+                    color[row, column, channel] += (tone - color[row, column, channel]) * cover
+                alpha[row, column] += (1 - alpha[row, column]) * cover
