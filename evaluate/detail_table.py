@@ -42,7 +42,7 @@ def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Itera
         found, digits = run.summary(metric), metric_of(metric).digits
         reason = run.missing.get(metric, "all renders equal the ground truth" if found.identical else "not defined")
         where = ((run.subject,), (run.method,), metric)
-        cells = [number_cell(found.count, 0, Source("count", *where, run.seed))]
+        cells = [number_cell(float(found.count), 0, Source("count", *where, run.seed))]
         cells += [_number(getattr(found, name), digits, reason, Source(name, *where, run.seed)) for name, _ in SPREAD]
         deviation = over_seeds if place == 0 else None
         cells.append(_number(deviation, digits, "needs runs with several seeds", Source("std_over_seeds", *where)))
