@@ -140,6 +140,7 @@ def job_of(run: Run, protocol: Protocol) -> Job:
         "step": run.step,
         "checkpoint_sha256": json.loads(record.read_text(encoding="utf-8"))["sha256"],
         "split": run.config.split if own else protocol.split,
+        "fps": run.capture.fps,
     }
     return Job(tuple(frames), truth, identity)
 

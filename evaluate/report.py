@@ -45,7 +45,7 @@ def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) ->
     tables = "\n".join(to_fragment(table) for table in build_tables(evaluations))
     parts = {
         "TITLE": escape(_title(shown)),
-        "SUMMARY": _summary(evaluations[0]),
+        "SUMMARY": _summary(evaluations[0], len(shown) > 1),
         "TABLE-STYLE": STYLE,
         "TABLES": tables,
         "PROTOCOL": _definition_list(_protocol(evaluations[0])),
@@ -96,9 +96,9 @@ def _title(shown: Sequence[Shown]) -> str:
     return f"{shown[0].evaluation.subject}: {', '.join(names_of(shown))}"
 
 
-def _summary(evaluation: Evaluation) -> str:
-    """The numbers of the main table, large, and what they were measured under."""
-    cells = []
+def _summary(evaluation: Evaluation, named: bool) -> str:
+    """The numbers of the main table, large; with the method's name where the page shows several."""
+    cells = [f"<div><dt>Method</dt><dd>{escape(evaluation.method)}</dd></div>"] if named else []
     for name in evaluation.protocol.table_metrics:
         metric, mean = metric_of(name), evaluation.summary(name).mean
         value = "–" if mean is None else f"{mean:.{metric.digits}f}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,8 +34,12 @@ class Shown:
     fps: float = 25.0
 
     @staticmethod
-    def in_folder(evaluation: Evaluation, home: Path, fps: float = 25.0) -> Shown:
-        """Pictures where `evaluate.predict` writes them."""
+    def in_folder(evaluation: Evaluation, home: Path) -> Shown:
+        """Pictures and frame rate where `evaluate.predict` wrote them."""
+        try:
+            fps = float(json.loads((home / "predict.json").read_text(encoding="utf-8"))["identity"]["fps"])
+        except (OSError, ValueError, KeyError, TypeError):
+            fps = 25.0
         return Shown(evaluation, home / "predictions", home / "ground_truth", fps)
 
     def pair(self, frame: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
