@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from ggavatar.errors import run_command
+from ggavatar.errors import GateError, run_command
 from preprocess.options import PrepOptions
 
 
@@ -44,4 +44,6 @@ def _prepare(options: PrepOptions) -> int:
     terminal = Terminal(options.verbosity)
     results = run_pipeline(options, terminal.stage)
     terminal.summary(options, results)
+    if options.strict and not results["doctor"]["healthy"]:
+        raise GateError(f"{options.output_dir}: the doctor found a fault (--strict)")
     return 0

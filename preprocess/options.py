@@ -39,7 +39,7 @@ class PrepOptions:
     format: str = "auto"
     """Format of `--tracking`: a name that `--help` lists below, or auto."""
 
-    head_model: Path | None = None
+    head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"])] = None
     """Head that the tracking's parameters belong to: head.npz, or FLAME's generic_model.pkl, flame2023.pkl or npz."""
 
     masks: str = "auto"
@@ -71,6 +71,9 @@ class PrepOptions:
 
     frame_offset: int | None = None
     """Source frame number minus tracking number; found by silhouette overlap if not given."""
+
+    fix: tuple[str, ...] = ()
+    """Undo mistakes in the conventions of `--tracking`, by the names ggavatar-doctor gives them."""
 
     models: Path | None = None
     """Folder with model files, looked into first."""

@@ -42,6 +42,8 @@ class Terminal:
         """What was written, what was lost on the way, and the next command."""
         for warning in self._warnings:
             self._errors.print(f"warning: {warning}", markup=False)
+        for line in spoken(results["doctor"]):
+            self._errors.print(line, markup=False)
         if self._quiet:
             return
         packed, folder = results["pack"], options.output_dir
@@ -68,3 +70,17 @@ class _StageLine:
     def warn(self, message: str) -> None:
         """Keep a warning for the summary."""
         self._warnings.append(message)
+
+
+def spoken(report: Mapping[str, Any]) -> list[str]:
+    """The doctor's report in lines of text."""
+    measures = report["measures"]
+    lines = [
+        f"{item['severity']}: {item['message']}" + (f" [{item['flag']}]" if item["flag"] else "")
+        for item in report["findings"]
+    ]
+    verdict = "healthy" if report["healthy"] else "not healthy"
+    shown = [f"silhouette IoU {measures['silhouette_iou']:.2f}", f"jitter {measures['jitter']['pixels']:.2f} px"]
+    if measures.get("landmark_error_pixels") is not None:
+        shown.append(f"landmarks {measures['landmark_error_pixels']:.2f} px")
+    return [*lines, f"doctor: {verdict} ({', '.join(shown)})"]

@@ -14,6 +14,7 @@ from ggavatar.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
 from ggavatar.pictures import read_grey, read_rgb
 from preprocess.crop import crop_from_json
+from preprocess.hypotheses import apply_fixes
 from preprocess.importing import detect_format, importer
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
@@ -29,6 +30,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
         "format": options.format,
         "head": file_state(options.head_model),
         "offset": options.frame_offset,
+        "fix": options.fix,
         "tracker": dataclasses.asdict(options.tracker),
     }
 
@@ -86,7 +88,9 @@ def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]
     name = detect_format(options.tracking) if options.format == "auto" else options.format
     record = importer(name).read(options.tracking)
     head, version_note = _head(options, record)
+    crop = crop_from_json(dict(job.results["crop"]["crop"]))
     tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, job)
+    tracking = apply_fixes(tracking, options.fix, crop.out_width, crop.out_height)
     known = [int(number) for number in record.numbers]
     offset, pairing = _offset(job, head, tracking, known, numbers)
     row_of = {number: row for row, number in enumerate(known)}

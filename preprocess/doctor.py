@@ -1,0 +1,283 @@
+"""Last stage and `ggavatar-doctor`: what is wrong with a capture, in words, and which flag mends it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ggavatar.arrays import write_atomically
+from ggavatar.capture import Capture
+from ggavatar.head.model import HeadModel
+from preprocess import quality
+from preprocess.evidence import gather, rank
+from preprocess.hypotheses import AXES, EYES, OTHERS
+from preprocess.options import PrepOptions
+from preprocess.pairing import find_offset
+from preprocess.stage import Job, Stage
+
+REPORT, PREVIEW = "doctor.json", "preview.jpg"
+LOW_OVERLAP = 0.5
+JITTER_PIXELS, JITTER_DEGREES = 1.5, 0.6
+DIVERGING = 0.6
+"""Eyes that point apart by this much on average, degrees, are most likely swapped."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something the doctor noticed.
+
+    Attributes:
+        code: Short and stable, for scripts.
+        severity: "fault" (training would suffer or fail), "warning" or "note".
+        message: In words.
+        flag: What to add to the ggavatar-prep command, if a flag mends it.
+    """
+
+    code: str
+    severity: str
+    message: str
+    flag: str = ""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings, and the numbers behind them."""
+
+    findings: tuple[Finding, ...]
+    measures: Mapping[str, Any]
+
+    @property
+    def healthy(self) -> bool:
+        """No faults; warnings may remain."""
+        return not any(finding.severity == "fault" for finding in self.findings)
+
+    def json(self) -> dict[str, Any]:
+        """Plain values for doctor.json."""
+        listed = [dataclasses.asdict(finding) for finding in self.findings]
+        return {
+            "schema": "ggavatar-doctor",
+            "version": 1,
+            "healthy": self.healthy,
+            "findings": listed,
+            "measures": dict(self.measures),
+        }
+
+
+def examine(capture: Capture, head: HeadModel) -> Diagnosis:
+    """Measure everything and draw conclusions; a few seconds for a usual clip."""
+    findings: list[Finding] = []
+    measures: dict[str, Any] = {}
+    evidence = gather(capture, head)
+    axes = rank(evidence, capture.tracking, AXES)
+    others = rank(evidence, capture.tracking, (AXES[0], *OTHERS))
+    measures["hypotheses"] = [list(item) for item in axes.scores]
+    measures["other_hypotheses"] = [list(item) for item in others.scores]
+    own = dict(axes.scores)["as-is"]
+    measures["silhouette_iou"] = own
+    named = _convention(capture, axes, others)
+    findings += named or _overlap(own)
+    measures["lens"] = quality.lens(capture)
+    findings += _lens(measures["lens"], capture, bool(named))
+    findings += _offset(capture, head, measures) if not named else []
+    findings += _eyes(capture, measures)
+    findings += _steadiness(capture, measures)
+    findings += _pictures(capture, head, measures)
+    findings += _coverage(capture, measures)
+    error = quality.landmark_error(capture, head)
+    if error is not None:
+        measures["landmark_error_pixels"] = error
+        findings += _landmarks(error, capture)
+    return Diagnosis(tuple(findings), measures)
+
+
+def _convention(capture: Capture, axes: Any, others: Any) -> list[Finding]:
+    """The convention the tracking was most probably written in, if not ours."""
+    candidates = [ranking for ranking in (axes, others) if ranking.best is not None]
+    if not candidates:
+        return []
+    chosen = max(candidates, key=lambda ranking: ranking.scores[0][1])
+    before, after = dict(chosen.scores)["as-is"], chosen.scores[0][1]
+    message = f"{chosen.best.words}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
+    return [Finding(chosen.best.name, "fault", message, f"--resume --fix {chosen.best.name}")]
+
+
+def _overlap(own: float) -> list[Finding]:
+    if own >= LOW_OVERLAP:
+        return []
+    message = (
+        f"the mesh covers the person badly (IoU {own:.2f}, expected {LOW_OVERLAP} and more) and "
+        "no known convention explains it"
+    )
+    return [
+        Finding(
+            "overlap",
+            "fault",
+            message + "; is this the tracking of another video or another crop?",
+            "--tracking, --crop",
+        )
+    ]
+
+
+def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[Finding]:
+    """Focal length, pixel aspect and principal point that no camera has."""
+    findings = []
+    if not 6 <= lens["field_of_view"] <= 95:
+        focal = f"a field of view of {lens['field_of_view']:.0f}° (6° to 95° are usual)"
+        findings.append(
+            Finding("focal", "fault", f"{focal}: the focal length belongs to another image size", "--tracker.focal")
+        )
+    if not 0.95 <= lens["aspect"] <= 1.05:
+        findings.append(
+            Finding(
+                "aspect",
+                "warning",
+                f"pixels are not square: fy / fx = {lens['aspect']:.3f}; width and height may be swapped",
+            )
+        )
+    off = max(abs(lens["principal_x"]), abs(lens["principal_y"]))
+    if off > 0.15 and not explained:
+        where = f"x {lens['principal_x']:+.0%}, y {lens['principal_y']:+.0%} of the image"
+        message = (
+            f"the principal point is far from the video's centre ({where}): it was not scaled or moved with the images"
+        )
+        findings.append(Finding("centre", "fault", message, "--resume --fix centre"))
+    return findings
+
+
+def _offset(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
+    """Tracking that runs ahead of or behind the video."""
+    found = find_offset(
+        head, capture.tracking, capture.frames, capture.frames, lambda number: capture.mask(number) > 127
+    )
+    measures["offset_iou"] = {str(offset): score for offset, score in found.scores.items()}
+    if found.offset == 0:
+        return []
+    late = "behind" if found.offset < 0 else "ahead of"
+    message = f"the tracking runs {abs(found.offset)} frame{'s'[: abs(found.offset) > 1]} {late} the video"
+    report = capture.source.get("tracking", {})
+    now = report.get("offset", 0) if isinstance(report, Mapping) else 0
+    wanted = (now if isinstance(now, int) else 0) + found.offset
+    return [Finding("offset", "fault", message, f"--resume --frame-offset {wanted}")]
+
+
+def _eyes(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
+    measures["eye_divergence_degrees"] = quality.eye_divergence(capture.tracking)
+    if measures["eye_divergence_degrees"] < DIVERGING:
+        return []
+    message = (
+        f"{EYES.words}: they point apart by {measures['eye_divergence_degrees']:.1f}° on average, "
+        "which people's eyes do not do"
+    )
+    return [Finding(EYES.name, "fault", message, f"--resume --fix {EYES.name}")]
+
+
+def _steadiness(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
+    measures["jitter"] = quality.jitter(capture.tracking)
+    pixels, degrees = measures["jitter"]["pixels"], measures["jitter"]["degrees"]
+    scale = max(capture.width, capture.height) / 512
+    if pixels <= JITTER_PIXELS * scale and degrees <= JITTER_DEGREES:
+        return []
+    message = f"the tracking jitters by {pixels:.1f} px and {degrees:.2f}° from frame to frame; the avatar will be soft"
+    return [Finding("jitter", "warning", message + "; smooth it over time in the tracker")]
+
+
+def _pictures(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
+    measures |= quality.picture_quality(capture, head)
+    findings, count = [], len(capture.frames)
+    if len(measures["blurred"]) > 0.05 * count:
+        findings.append(
+            Finding(
+                "blur",
+                "warning",
+                f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a faster shutter",
+            )
+        )
+    if len(measures["repeated"]) > 0.05 * count:
+        message = (
+            f"{len(measures['repeated'])} of {count} frames repeat the one before; "
+            "the video was converted from a lower frame rate"
+        )
+        rate = capture.fps * (1 - len(measures["repeated"]) / count)
+        findings.append(Finding("repeated", "warning", message, f"--fps {rate:.0f}"))
+    return findings
+
+
+def _coverage(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
+    measures["coverage"] = quality.coverage(capture.tracking)
+    findings = []
+    if len(capture.frames) < 200:
+        findings.append(
+            Finding(
+                "short",
+                "warning",
+                f"{len(capture.frames)} frames are few; some hundred, better 2000, make a good avatar",
+            )
+        )
+    if measures["coverage"]["yaw_range"] < 8:
+        message = (
+            f"the head turns by {measures['coverage']['yaw_range']:.0f}° only; "
+            "the avatar will not hold up from the side"
+        )
+        findings.append(Finding("yaw", "note", message))
+    if measures["coverage"]["moving_expressions"] < 3:
+        findings.append(
+            Finding("expression", "warning", "the expression hardly changes; the avatar cannot learn to move its face")
+        )
+    return findings
+
+
+def _landmarks(error: float, capture: Capture) -> list[Finding]:
+    limit = 3 * max(capture.width, capture.height) / 512
+    if error <= limit:
+        return []
+    return [
+        Finding(
+            "landmarks",
+            "fault",
+            f"landmarks of the mesh are {error:.1f} px from those in the image (up to {limit:.1f} expected)",
+        )
+    ]
+
+
+def write_report(capture: Capture, diagnosis: Diagnosis) -> None:
+    """Write doctor.json into the capture."""
+    text = json.dumps(_plain(diagnosis.json()), ensure_ascii=False, indent=1, allow_nan=False)
+    write_atomically(capture.folder / REPORT, lambda stream: stream.write(text.encode()))
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of numpy as Python's, NaN as null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def inputs(options: PrepOptions) -> Mapping[str, Any]:
+    """Only what the stages before have made."""
+    return {}
+
+
+def run(job: Job) -> Mapping[str, Any]:
+    """Examine the new capture; write doctor.json and preview.jpg."""
+    from ggavatar.head.files import load_head
+    from preprocess.sheet import write_preview
+
+    capture = Capture.open(job.folder)
+    head = load_head(capture.head_path)
+    diagnosis = examine(capture, head)
+    write_report(capture, diagnosis)
+    write_preview(capture, head)
+    job.reporter.advance(1, 1)
+    return _plain(diagnosis.json())
+
+
+STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW))

@@ -1,0 +1,59 @@
+"""`ggavatar-doctor`: examine a capture that exists already."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from ggavatar.errors import GateError, run_command
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Say what is wrong with a capture and which flag mends it; writes doctor.json and preview.jpg into it."""
+
+    capture: tyro.conf.Positional[Path]
+    """The capture folder."""
+
+    strict: bool = False
+    """Exit with 3 if there is a fault."""
+
+    json: bool = False
+    """Print the whole report as JSON."""
+
+    dry_run: bool = False
+    """Write nothing into the capture."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    options = tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=None if arguments is None else list(arguments))
+    return run_command(lambda: _examine(options))
+
+
+def _examine(options: DoctorOptions) -> int:
+    import json
+
+    from ggavatar.capture import Capture
+    from ggavatar.head.files import load_head
+    from preprocess.doctor import examine, write_report
+    from preprocess.sheet import write_preview
+    from preprocess.terminal import spoken
+
+    capture = Capture.open(options.capture)
+    head = load_head(capture.head_path)
+    diagnosis = examine(capture, head)
+    if not options.dry_run:
+        write_report(capture, diagnosis)
+        write_preview(capture, head)
+    if options.json:
+        sys.stdout.write(json.dumps(diagnosis.json(), default=float) + "\n")
+    else:
+        sys.stdout.write("".join(f"{line}\n" for line in spoken(diagnosis.json())))
+    if options.strict and not diagnosis.healthy:
+        raise GateError(f"{options.capture}: the doctor found a fault (--strict)")
+    return 0

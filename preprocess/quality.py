@@ -1,0 +1,130 @@
+"""What can be measured about a capture without knowing the truth.
+
+Lens, distance, jitter, blur, repeats, expressiveness.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from ggavatar.capture import Capture, Tracking
+from ggavatar.head.model import HeadModel
+from preprocess.posing import posed_vertices, project
+
+BLURRED = 0.3
+"""A frame is blurred if its sharpness falls below this part of the clip's median."""
+
+REPEATED = 0.15
+"""Two neighbouring frames are the same if they differ by less than this, in 8-bit steps."""
+
+
+def lens(capture: Capture) -> dict[str, float]:
+    """Field of view in degrees and the principal point's distance from the source's centre.
+
+    As part of its width and height.
+    """
+    intrinsics = np.median(capture.tracking.intrinsics.astype(np.float64), axis=0)
+    crop = capture.source.get("crop", {}) if isinstance(capture.source.get("crop"), dict) else {}
+    center = _source_center(capture, crop)
+    return {
+        "field_of_view": float(np.degrees(2 * np.arctan(max(capture.width, capture.height) / (2 * intrinsics[0, 0])))),
+        "aspect": float(intrinsics[1, 1] / intrinsics[0, 0]),
+        "principal_x": float((intrinsics[0, 2] - center[0]) / capture.width),
+        "principal_y": float((intrinsics[1, 2] - center[1]) / capture.height),
+    }
+
+
+def _source_center(capture: Capture, crop: dict[str, Any]) -> tuple[float, float]:
+    """The source's centre in px of the capture; the capture's own centre if the crop is not known."""
+    keys = ("x", "y", "width", "height")
+    known = all(isinstance(crop.get(key), int) for key in keys) and crop["width"] > 0 and crop["height"] > 0
+    size = [capture.source.get(key) for key in ("width", "height")]
+    if not known or not all(isinstance(value, int) for value in size):
+        return capture.width / 2, capture.height / 2
+    x = (int(size[0] or 0) / 2 - crop["x"]) * capture.width / crop["width"]
+    y = (int(size[1] or 0) / 2 - crop["y"]) * capture.height / crop["height"]
+    return x, y
+
+
+def head_center(tracking: Tracking) -> Float[np.ndarray, "T 3"]:
+    """The head's position in camera metres."""
+    rotations, offsets = tracking.world_to_camera[:, :3, :3], tracking.world_to_camera[:, :3, 3]
+    return np.einsum("tij,tj->ti", rotations, tracking.translation) + offsets
+
+
+def jitter(tracking: Tracking) -> dict[str, float]:
+    """Root mean square of what a second difference sees: px across the image, degrees of rotation.
+
+    0 for any steady motion.
+    """
+    centers = head_center(tracking)
+    image = np.einsum("tij,tj->ti", tracking.intrinsics, centers)
+    pixels = image[:, :2] / np.where(np.abs(image[:, 2:]) > 1e-6, image[:, 2:], 1e-6)
+    if len(pixels) < 3:
+        return {"pixels": 0.0, "degrees": 0.0}
+    second = np.diff(pixels, 2, axis=0) / np.sqrt(6)
+    forward = tracking.world_to_camera[:, :3, 2].astype(np.float64)
+    turned = np.degrees(np.diff(forward, 2, axis=0)) / np.sqrt(6)
+    # The median ignores real, sudden motion.
+    return {
+        "pixels": float(np.median(np.linalg.norm(second, axis=1))),
+        "degrees": float(np.median(np.linalg.norm(turned, axis=1))),
+    }
+
+
+def eye_divergence(tracking: Tracking) -> float:
+    """Mean angle by which the eyes point apart, degrees; people's eyes are parallel or converge (negative)."""
+    if tracking.joint_rotations.shape[1] < 5:
+        return 0.0
+    return float(np.degrees((tracking.joint_rotations[:, 3, 1] - tracking.joint_rotations[:, 4, 1]).mean()))
+
+
+def coverage(tracking: Tracking) -> dict[str, Any]:
+    """How much of the face's range the clip shows."""
+    spread = tracking.expression.std(axis=0)
+    forward = tracking.world_to_camera[:, :3, 2].astype(np.float64)
+    yaw = np.degrees(np.arctan2(forward[:, 0], np.maximum(np.abs(forward[:, 2]), 1e-6)))
+    jaw = tracking.joint_rotations[:, 2, 0] if tracking.joint_rotations.shape[1] > 2 else np.zeros(1)
+    return {
+        "moving_expressions": int(np.count_nonzero(spread > 0.05 * max(spread.max(initial=0), 1e-9))),
+        "expression_spread": float(spread.mean()) if spread.size else 0.0,
+        "yaw_range": float(np.ptp(yaw)),
+        "jaw_range": float(np.degrees(np.ptp(jaw))),
+    }
+
+
+def picture_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
+    """Blurred and repeated frames; sharpness is measured within the masked person."""
+    sharpness, repeated, before = [], [], None
+    for number in capture.frames:
+        grey = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
+        mask = cv2.erode(capture.mask(number), np.ones((5, 5), np.uint8)) > 127
+        detail = cv2.Laplacian(grey, cv2.CV_32F)
+        sharpness.append(float(detail[mask].std()) if mask.any() else 0.0)
+        if before is not None and float(np.abs(grey.astype(np.int16) - before).mean()) < REPEATED:
+            repeated.append(number)
+        before = grey.astype(np.int16)
+    typical = float(np.median(sharpness))
+    blurred = [number for number, value in zip(capture.frames, sharpness, strict=True) if value < BLURRED * typical]
+    return {"sharpness": typical, "blurred": blurred, "repeated": repeated}
+
+
+def landmark_error(capture: Capture, head: HeadModel) -> float | None:
+    """Median distance of projected landmark vertices to detected landmarks, px; None if the head does not name them.
+
+    Heads of the built-in tracker name them in the region `landmarks`, in the landmarks' order.
+    """
+    landmarks, vertices = capture.tracking.landmarks, head.regions.get("landmarks")
+    if landmarks is None or vertices is None or landmarks.shape[1] != len(vertices):
+        return None
+    distances = []
+    for row in range(0, len(capture.frames), max(1, len(capture.frames) // 100)):
+        points = posed_vertices(head, capture.tracking, row)[vertices.numpy()]
+        pixels, _ = project(points, capture.tracking.intrinsics[row], capture.tracking.world_to_camera[row])
+        distances.append(np.linalg.norm(pixels - landmarks[row], axis=1))
+    found = np.concatenate(distances)
+    return float(np.nanmedian(found)) if np.isfinite(found).any() else None
