@@ -38,6 +38,8 @@ def _evaluate(options: Options) -> int:
     tables = build_tables(evaluations, options.layout, options.with_paper)
     folder = _table_folder(options)
     written += write_tables(tables, folder)
+    if not options.no_report:
+        written += _visuals(options, evaluations, folder, console)
     if options.table:
         console.print()
         for table in (table for table in tables if table.name != "detail"):
@@ -131,6 +133,30 @@ def folder_protocol(options: Options) -> Protocol:
 def learned(options: Options, protocol: Protocol) -> Perceptual | None:
     """Learned metrics of a protocol, unless switched off."""
     return learned_metrics(protocol, model_folders(options.models)) if not options.no_lpips else None
+
+
+def _visuals(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:
+    """Report, comparison, video and curves of every evaluation with pictures, and comparisons of methods."""
+    from evaluate.shown import Shown
+    from evaluate.visuals import write_studies, write_visuals
+
+    if options.folders.pred and options.folders.gt:
+        pairs = [(folder, Shown(evaluations[0], options.folders.pred, options.folders.gt))]
+    else:
+        homes = [_home(path, found) for path, found in zip(options.runs, evaluations, strict=True)]
+        pairs = [(home, Shown.in_folder(found, home)) for home, found in zip(homes, evaluations, strict=True)]
+        pairs = [(home, shown) for home, shown in pairs if shown.predictions.is_dir() and shown.truth.is_dir()]
+    written: list[Path] = []
+    for home, shown in pairs:
+        written += write_visuals(shown, home, _progress(options, console, "drawing"))
+    return written + write_studies([shown for _, shown in pairs], folder)
+
+
+def _home(path: Path, evaluation: Evaluation) -> Path:
+    """Folder of the metrics that a command-line argument stands for."""
+    if path.is_file():
+        return path.parent
+    return path if (path / METRICS_FILE).is_file() else path / "eval" / evaluation.protocol.id
 
 
 def _table_folder(options: Options) -> Path:

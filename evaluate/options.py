@@ -102,7 +102,7 @@ class Options:
     with_paper: bool = False
     """Set the paper's rows below ours (their protocol is not stated)."""
     no_report: bool = False
-    """Leave out the HTML report, the comparison figure and the side-by-side video of runs."""
+    """Leave out the HTML report, the comparison figure, the side-by-side video and the curves."""
     no_lpips: bool = False
     """Leave out learned metrics even where their weights are at hand."""
     models: Path | None = None

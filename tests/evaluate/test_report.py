@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from evaluate.cli import main
 from evaluate.curves import curves, write_curves
 from evaluate.frame_files import frame_file
 from evaluate.protocol import named
@@ -182,3 +183,13 @@ def test_the_page_runs_in_a_browser(tmp_path: Path) -> None:
     assert '<output id="frame-label" for="scrubber">frame 0</output>' in ran.stdout
     assert re.search(r'<path d="M[\d. L]+"', ran.stdout), "the curve is drawn"
     assert 'alt="ours, frame 0"' in ran.stdout and "220: 17.76 dB" in ran.stdout
+
+
+def test_the_command_draws_unless_told_not_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one = shown(tmp_path, "ours", 3)
+    folders = ["--pred", str(one.predictions), "--gt", str(one.truth), "--no-lpips"]
+    assert main([*folders, "-o", str(tmp_path / "with")]) == 0
+    assert str(tmp_path / "with" / "report.html") in capsys.readouterr().out.replace("\n", "")
+    assert (tmp_path / "with" / "side_by_side.mp4").is_file()
+    assert main([*folders, "-o", str(tmp_path / "without"), "--no-report"]) == 0
+    assert not (tmp_path / "without" / "report.html").exists()
