@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Protocol as Interface
-from typing import TypeVar
+from typing import TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -29,6 +29,7 @@ INSIDE = ("psnr", "mse", "l1")
 """What a protocol with a region measures over the region's pixels only."""
 
 
+@runtime_checkable
 class Perceptual(Interface):
     """Learned metrics, such as `evaluate.perceptual.PerceptualMetrics`; `measure` is called from several threads."""
 
