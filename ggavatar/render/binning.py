@@ -8,23 +8,30 @@ import numpy as np
 
 from ggavatar.compiled import inlined, kernel
 from ggavatar.render.cpu_projection import DEPTH, RECORD
-from ggavatar.render.memory import float_bits
+from ggavatar.render.memory import float_bits, pointer, prefetch
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
+AHEAD = 32
+"""How many Gaussians ahead their boxes are asked for."""
 
 
 class Bins(NamedTuple):
     """Lists of Gaussians per tile.
 
-    `starts` [tiles + 1] into `gaussians` [M]; `slots` [N + 1] into `entries` [M], which gives for the tiles of one Gaussian
-    in a row their places in `gaussians`.
+    `starts` [tiles + 1] into `entries` [M, 2]: a Gaussian, front to back, and the slot of its gradient in this tile. The slots of
+    Gaussian i are `slots[i]` … `slots[i + 1]`: sums over its tiles then read memory in order.
     """
 
     starts: np.ndarray
-    gaussians: np.ndarray
-    slots: np.ndarray
     entries: np.ndarray
+    slots: np.ndarray
+
+
+@inlined
+def bare_bins(bins):
+    """The bins with pointers instead of arrays."""
+    return Bins(pointer(bins.starts, 0), pointer(bins.entries, 0), pointer(bins.slots, 0))
 
 
 @inlined
@@ -93,14 +100,18 @@ def radix_pass(source, target, nearest, shift):
 def fill_tiles(order, boxes, tiles_x, bins):
     """Append every Gaussian, front to back, to the lists of its tiles."""
     next_place = bins.starts[:-1].copy()
-    for key in order:
-        index = key & 0xFFFFFFFF
+    for position in range(order.size):
+        if position + AHEAD < order.size:
+            later = order[position + AHEAD] & 0xFFFFFFFF
+            prefetch(bins.slots, later)
+            prefetch(boxes, later * 4)
+        index = order[position] & 0xFFFFFFFF
         left, top, right, bottom = box_of(boxes, index)
         slot = bins.slots[index]
         for y in range(top, bottom):
             for tile in range(y * tiles_x + left, y * tiles_x + right):
                 place = next_place[tile]
                 next_place[tile] = place + 1
-                bins.gaussians[place] = index
-                bins.entries[slot] = place
+                bins.entries[2 * place] = index
+                bins.entries[2 * place + 1] = slot
                 slot += 1

@@ -144,15 +144,17 @@ def view_array(lens: Lens, pose: Tensor, background: Tensor) -> np.ndarray:
 
 def cloud_of(inputs: Sequence[Tensor], degree: int) -> Cloud:
     """The input tensors as flat arrays."""
-    return Cloud(*(_flat(tensor) for tensor in inputs), inputs[4].shape[1] if inputs[4].ndim == 3 else 0, degree)
+    coefficients = inputs[4].shape[1] if inputs[4].ndim == 3 else 0
+    means, quats, scales, opacities, colors = (_flat(tensor) for tensor in inputs)
+    return Cloud(means, quats, scales, opacities, colors, opacities.size, coefficients, degree)
 
 
 def project_all(cloud: Cloud, view: np.ndarray, means2d: np.ndarray, radii: np.ndarray) -> Footprints:
     """Project all Gaussians."""
-    rows, chunks = radii.size, -(-cloud.opacities.size // CHUNK)
+    rows, chunks = radii.size, -(-cloud.count // CHUNK)
     boxes, faults = np.empty(4 * rows, np.int16), np.zeros(chunks * CHECKED, np.float32)
-    footprints = Footprints(_scratch(1, RECORD * rows)[0], means2d, radii, boxes, faults)
-    share(project_chunks, chunks, _scratch(workers(), SCRATCH), cloud, view, footprints)
+    footprints = Footprints(_scratch(RECORD * rows), means2d, radii, boxes, faults)
+    share(project_chunks, chunks, _scratch(workers() * SCRATCH), cloud, view, footprints)
     return footprints
 
 
@@ -162,7 +164,7 @@ def bin_all(footprints: Footprints, view: np.ndarray) -> Bins:
     starts, slots = np.empty(tiles + 1, np.int64), np.empty(footprints.radii.size + 1, np.int64)
     seen = count_tiles(footprints.boxes, tiles_x, starts, slots)
     order = sort_by_depth(footprints.records, slots, np.empty(seen, np.int64), np.empty(seen, np.int64))
-    bins = Bins(starts, np.empty(starts[-1], np.int32), slots, np.empty(starts[-1], np.int32))
+    bins = Bins(starts, np.empty(2 * starts[-1], np.int32), slots)
     fill_tiles(order, footprints.boxes, tiles_x, bins)
     return bins
 
@@ -171,34 +173,34 @@ def new_canvas(view: np.ndarray, bins: Bins) -> tuple[tuple[Tensor, Tensor, Tens
     """Tensors for image, light and depth in whole tiles, and the canvas over their memory."""
     width, height = int(view[25]) * TILE, int(view[26]) * TILE
     tensors = torch.empty(height, width, 3), torch.empty(height, width, 1), torch.empty(height, width, 1)
-    hits, ends = np.empty(bins.gaussians.size, np.uint16), np.empty(bins.starts.size - 1, np.int64)
+    hits, ends = np.empty(bins.entries.size // 2, np.uint16), np.empty(bins.starts.size - 1, np.int64)
     return tensors, Canvas(*map(_flat, tensors), hits, ends)
 
 
 def draw_all(bins: Bins, records: np.ndarray, view: np.ndarray, canvas: Canvas) -> None:
     """Draw all tiles."""
-    masks = np.empty((workers(), BATCH), np.uint16)
-    share(draw_tiles, -(-canvas.ends.size // TILES_PER_TICKET), _scratch(workers(), FORWARD_SCRATCH), masks, bins, records, view, canvas)
+    masks = np.empty(workers() * BATCH, np.uint16)
+    share(draw_tiles, -(-canvas.ends.size // TILES_PER_TICKET), _scratch(workers() * FORWARD_SCRATCH), masks, bins, records, view, canvas)
 
 
 def differentiate_all(
     cloud: Cloud, view: np.ndarray, footprints: Footprints, bins: Bins, canvas: Canvas, incoming: Incoming
 ) -> tuple[tuple[Tensor, ...], np.ndarray]:
     """Gradients of means, quats, scales, opacities, colours and image positions, and sums for the pose."""
-    count, chunks = cloud.opacities.size, -(-cloud.opacities.size // CHUNK)
-    slots = _scratch(1, SUMS * bins.gaussians.size)[0]
-    pieces, scratches = -(-canvas.ends.size // TILES_PER_TICKET), _scratch(workers(), BACKWARD_SCRATCH)
+    count, chunks = cloud.count, -(-cloud.count // CHUNK)
+    slots = _scratch(SUMS * canvas.hits.size)
+    pieces, scratches = -(-canvas.ends.size // TILES_PER_TICKET), _scratch(workers() * BACKWARD_SCRATCH)
     share(differentiate_tiles, pieces, scratches, bins, footprints.records, view, canvas, incoming, slots)
     results = tuple(_padded(count, *columns) for columns in ((3,), (4,), (3,), ())) + (torch.empty(cloud.colors.size), _padded(count, 2))
     poses = np.zeros((chunks, POSE_SUMS), np.float32)
     gradients = Gradients(*map(_memory, results), poses.reshape(-1))
-    share(differentiate_chunks, chunks, _scratch(workers(), GRADIENT_SCRATCH), cloud, view, footprints, bins, slots, gradients)
+    share(differentiate_chunks, chunks, _scratch(workers() * GRADIENT_SCRATCH), cloud, view, footprints, bins, slots, gradients)
     return results, poses
 
 
-def _scratch(rows: int, columns: int) -> np.ndarray:
+def _scratch(size: int) -> np.ndarray:
     """Uninitialised floats; torch aligns them to cache lines, numpy would not."""
-    return torch.empty(rows, -(-columns // 16) * 16).numpy()
+    return torch.empty(size).numpy()
 
 
 def pose_gradient(pose: Tensor, poses: np.ndarray) -> Tensor:

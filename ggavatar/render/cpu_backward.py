@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ggavatar.compiled import inlined, kernel
+from ggavatar.render.binning import bare_bins
 from ggavatar.render.blending import MOST, TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light
-from ggavatar.render.cpu_forward import Canvas
+from ggavatar.render.cpu_forward import Canvas, bare_canvas
 from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
-from ggavatar.render.memory import lane_sums, load, load_block_1, load_block_3, lowest_bit, prefetch, store, take_ticket
+from ggavatar.render.memory import lane_sums, load, load_block_1, load_block_3, lowest_bit, pointer, prefetch, store, take_ticket
 from ggavatar.render.simd import fma, negate, select, splat
 
 SUMS = 16
@@ -40,8 +41,11 @@ class Incoming(NamedTuple):
 @kernel
 def differentiate_tiles(tickets, scratches, bins, records, view, canvas, incoming, slots):
     """Fill the slots of tiles until none is left."""
-    scratch = scratches[take_ticket(tickets, 1)]
+    scratch = pointer(scratches, take_ticket(tickets, 1) * BACKWARD_SCRATCH)
     tiles = canvas.ends.size
+    bins, records, view, canvas = bare_bins(bins), pointer(records, 0), pointer(view, 0), bare_canvas(canvas)
+    incoming = Incoming(pointer(incoming.image, 0), pointer(incoming.alpha, 0), pointer(incoming.depth, 0))
+    slots = pointer(slots, 0)
     first = take_ticket(tickets, 0) * TILES_PER_TICKET
     while first < tiles:
         for tile in range(first, min(first + TILES_PER_TICKET, tiles)):
@@ -60,13 +64,13 @@ def differentiate_tile(scratch, bins, records, view, canvas, incoming, target):
     load_tile(scratch, view, canvas, incoming, left, top)
     for place in range(start, end):
         if place + AHEAD < end:
-            prefetch(records, np.int64(bins.gaussians[place + AHEAD]) * RECORD)
+            prefetch(records, np.int64(bins.entries[2 * (place + AHEAD)]) * RECORD)
         hits = np.int64(canvas.hits[place])
-        source = np.int64(bins.gaussians[place]) * RECORD
-        record = records[source : source + RECORD]
-        store(slots, place * SUMS, entry_sums(scratch, record, hits, np.float32(left), np.float32(top)))
+        source = np.int64(bins.entries[2 * place]) * RECORD
+        record = pointer(records, source)
+        store(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, entry_sums(scratch, record, hits, np.float32(left), np.float32(top)))
     for place in range(end, stop):
-        store(slots, place * SUMS, splat(np.float32(0)))
+        store(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, splat(np.float32(0)))
 
 
 @inlined

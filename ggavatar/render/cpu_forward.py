@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ggavatar.compiled import inlined, kernel
+from ggavatar.render.binning import bare_bins
 from ggavatar.render.blending import TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light, touched_blocks
 from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
-from ggavatar.render.memory import column_bits, load, lowest_bit, prefetch, store, store_block_1, store_block_3, take_ticket
+from ggavatar.render.memory import column_bits, load, lowest_bit, pointer, prefetch, store, store_block_1, store_block_3, take_ticket
 from ggavatar.render.simd import absolute, bits_of, fma, splat
 
 BATCH = 64
@@ -42,13 +43,21 @@ class Canvas(NamedTuple):
 def draw_tiles(tickets, scratches, masks, bins, records, view, canvas):
     """Draw tiles until none is left."""
     worker = take_ticket(tickets, 1)
-    scratch, mask = scratches[worker], masks[worker]
+    work = pointer(scratches, worker * FORWARD_SCRATCH), pointer(masks, worker * BATCH)
     tiles = canvas.ends.size
+    bins, records, view, canvas = bare_bins(bins), pointer(records, 0), pointer(view, 0), bare_canvas(canvas)
     first = take_ticket(tickets, 0) * TILES_PER_TICKET
     while first < tiles:
         for tile in range(first, min(first + TILES_PER_TICKET, tiles)):
-            draw_tile((scratch, mask), bins, records, view, canvas, tile)
+            draw_tile(work, bins, records, view, canvas, tile)
         first = take_ticket(tickets, 0) * TILES_PER_TICKET
+
+
+@inlined
+def bare_canvas(canvas):
+    """The canvas with pointers instead of arrays."""
+    image, light, depth = pointer(canvas.image, 0), pointer(canvas.light, 0), pointer(canvas.depth, 0)
+    return Canvas(image, light, depth, pointer(canvas.hits, 0), pointer(canvas.ends, 0))
 
 
 @inlined
@@ -61,7 +70,7 @@ def draw_tile(work, bins, records, view, canvas, tile):
     place, end = np.int64(bins.starts[tile]), np.int64(bins.starts[tile + 1])
     while place < end and alive != 0:
         size = min(BATCH, end - place)
-        gather_batch(work, bins.gaussians[place:end], records, (np.float32(left), np.float32(top)), alive)
+        gather_batch(work, pointer(bins.entries, 2 * place), size, records, (np.float32(left), np.float32(top)), alive)
         for block in range(16):
             if (alive >> block) & 1:
                 alive &= ~(draw_block(scratch, mask, block) << block)
@@ -88,19 +97,18 @@ def clear_tile(scratch, width, height):
 
 
 @inlined
-def gather_batch(work, gaussians, records, corner, alive):
+def gather_batch(work, entries, size, records, corner, alive):
     """Copy up to 64 records, centres replaced by whitened ones from the tile's corner, and note the blocks each one touches."""
     scratch, mask = work
-    size = gaussians.size
     for number in range(BATCH):
         if number >= size:
             mask[number] = 0
             continue
         if number + AHEAD < size:
-            prefetch(records, np.int64(gaussians[number + AHEAD]) * RECORD)
-        source, target = np.int64(gaussians[number]) * RECORD, 16 * STATE + number * RECORD
+            prefetch(records, np.int64(entries[2 * (number + AHEAD)]) * RECORD)
+        source, target = np.int64(entries[2 * number]) * RECORD, 16 * STATE + number * RECORD
         store(scratch, target, load(records, source))
-        record = records[source : source + RECORD]
+        record = pointer(records, source)
         x, y = record[X] - corner[0], record[Y] - corner[1]
         mask[number] = np.uint16(touched_blocks(record, x, y) & alive)
         scratch[target + X] = -(record[XX] * x + record[XY] * y)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ggavatar.compiled import inlined, kernel
+from ggavatar.render.binning import bare_bins
 from ggavatar.render.cpu_backward import (
     SUM_BLUE,
     SUM_DEPTH,
@@ -27,11 +28,13 @@ from ggavatar.render.cpu_harmonics import (
     fill_basis,
     load_coefficients,
     passed,
+    prefetch_colors,
     store_color_gradient,
 )
-from ggavatar.render.cpu_projection import BLUE, CHUNK, GREEN, RECORD, RED, TWO_LN2, XX, XY, YY
+from ggavatar.render.cpu_projection import BLUE, CHUNK, GREEN, RECORD, RED, TWO_LN2, XX, XY, YY, bare_footprints
 from ggavatar.render.cpu_shapes import (
     CENTER,
+    bare_cloud,
     columns_3,
     columns_4,
     combine,
@@ -43,7 +46,7 @@ from ggavatar.render.cpu_shapes import (
     turned,
     unit_quaternion,
 )
-from ggavatar.render.memory import gather_rows, load, load_rows, store, store_columns, take_ticket, transpose
+from ggavatar.render.memory import gather_rows, load, load_rows, pointer, store, store_columns, take_ticket, transpose
 from ggavatar.render.simd import fma, lane_index_below, maximum, minimum, negate, select, splat, total
 
 POSE = SCRATCH
@@ -69,18 +72,29 @@ class Gradients(NamedTuple):
 @kernel
 def differentiate_chunks(tickets, scratches, cloud, view, footprints, bins, slots, gradients):
     """Differentiate chunks of Gaussians until none is left."""
-    scratch = scratches[take_ticket(tickets, 1)]
-    count = cloud.opacities.size
+    scratch = pointer(scratches, take_ticket(tickets, 1) * GRADIENT_SCRATCH)
+    cloud, view, footprints, bins = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints), bare_bins(bins)
+    slots, gradients, count = pointer(slots, 0), bare_gradients(gradients), cloud.count
     chunks = (count + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
         for number in range(POSE_SUMS):
             store(scratch, POSE + number * 16, splat(np.float32(0)))
         for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, count), 16):
+            prefetch_colors(cloud.colors, cloud.coefficients, first + 2 * 16, count - 1)
+            prefetch_colors(gradients.colors, cloud.coefficients, first + 2 * 16, count - 1)
             differentiate_group(scratch, cloud, view, footprints, gather_sums(scratch, bins, slots, first, count - 1), gradients, first)
         for number in range(POSE_SUMS):
             gradients.poses[chunk * POSE_SUMS + number] = total(load(scratch, POSE + number * 16))
         chunk = take_ticket(tickets, 0)
+
+
+@inlined
+def bare_gradients(gradients):
+    """The gradients with pointers instead of arrays."""
+    means, quats, scales = pointer(gradients.means, 0), pointer(gradients.quats, 0), pointer(gradients.scales, 0)
+    opacities, colors, means2d = pointer(gradients.opacities, 0), pointer(gradients.colors, 0), pointer(gradients.means2d, 0)
+    return Gradients(means, quats, scales, opacities, colors, means2d, pointer(gradients.poses, 0))
 
 
 @inlined
@@ -90,8 +104,8 @@ def gather_sums(scratch, bins, slots, first, last):
         sums = splat(np.float32(0))
         index = first + number
         if index <= last:
-            for entry in range(bins.slots[index], bins.slots[index + 1]):
-                sums = sums + load(slots, np.int64(bins.entries[entry]) * SUMS)
+            for slot in range(bins.slots[index], bins.slots[index + 1]):
+                sums = sums + load(slots, slot * SUMS)
         store(scratch, number * 16, sums)
     return transpose(load_rows(scratch, 0, 15, 16, 0))
 
@@ -99,7 +113,7 @@ def gather_sums(scratch, bins, slots, first, last):
 @inlined
 def differentiate_group(scratch, cloud, view, footprints, sums, gradients, first):
     """Write all gradients of sixteen Gaussians; those that are not visible get zero."""
-    last = cloud.opacities.size - 1
+    last = cloud.count - 1
     zero = np.float32(0)
     seen = (load(footprints.radii, first) > zero) & lane_index_below(last - first + 1)
     records = transpose(load_rows(footprints.records, first, first + 15, RECORD, 0))

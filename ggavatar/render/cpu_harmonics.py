@@ -7,7 +7,7 @@ import numpy as np
 from ggavatar.compiled import inlined
 from ggavatar.render import harmonics
 from ggavatar.render.cpu_shapes import columns_3, dot
-from ggavatar.render.memory import gather_rows, load, load_rows, scatter_rows, store, store_rows, transpose
+from ggavatar.render.memory import gather_rows, load, load_rows, prefetch, scatter_rows, store, store_rows, transpose
 from ggavatar.render.simd import fma, maximum, negate, select, splat, sqrt
 
 C0, C1 = np.float32(harmonics.C0), np.float32(harmonics.C1)
@@ -51,6 +51,14 @@ def fill_basis(scratch, unit, degree):
         store(scratch, BASIS + 208, x * round_term * negate(C32))
         store(scratch, BASIS + 224, z * (xx - yy) * C34)
         store(scratch, BASIS + 240, x * (xx - THREE * yy) * negate(C30))
+
+
+@inlined
+def prefetch_colors(colors, coefficients, first, last):
+    """Ask for the colours of a later group of sixteen; without this, waiting for memory takes most of the time."""
+    size = 3 * max(coefficients, 1)
+    for place in range(first * size, min(first + 16, last + 1) * size, 16):
+        prefetch(colors, place)
 
 
 @inlined

@@ -9,9 +9,10 @@ import numpy as np
 
 from ggavatar.compiled import inlined, kernel
 from ggavatar.render.constants import MIN_ALPHA, NEAR
-from ggavatar.render.cpu_harmonics import colors_of
+from ggavatar.render.cpu_harmonics import SCRATCH, colors_of, prefetch_colors
 from ggavatar.render.cpu_shapes import (
     CENTER,
+    bare_cloud,
     columns_3,
     columns_4,
     covariance,
@@ -22,7 +23,7 @@ from ggavatar.render.cpu_shapes import (
     turned,
     unit_quaternion,
 )
-from ggavatar.render.memory import gather_rows, store, store_boxes, store_columns, store_rows, take_ticket, transpose
+from ggavatar.render.memory import gather_rows, pointer, store, store_boxes, store_columns, store_rows, take_ticket, transpose
 from ggavatar.render.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
 
 # A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px, log2 of the
@@ -60,9 +61,9 @@ class Footprints(NamedTuple):
 @kernel
 def project_chunks(tickets, scratches, cloud, view, footprints):
     """Project chunks of Gaussians until none is left."""
-    scratch = scratches[take_ticket(tickets, 1)]
-    count = cloud.opacities.size
-    chunks = (count + CHUNK - 1) // CHUNK
+    scratch = pointer(scratches, take_ticket(tickets, 1) * SCRATCH)
+    cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
+    chunks = (cloud.count + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
         project_chunk(scratch, cloud, view, footprints, chunk)
@@ -70,12 +71,20 @@ def project_chunks(tickets, scratches, cloud, view, footprints):
 
 
 @inlined
+def bare_footprints(footprints):
+    """The footprints with pointers instead of arrays."""
+    records, means2d, radii = pointer(footprints.records, 0), pointer(footprints.means2d, 0), pointer(footprints.radii, 0)
+    return Footprints(records, means2d, radii, pointer(footprints.boxes, 0), pointer(footprints.faults, 0))
+
+
+@inlined
 def project_chunk(scratch, cloud, view, footprints, chunk):
     """Project one chunk and note which inputs were not finite."""
-    last = cloud.opacities.size - 1
+    last = cloud.count - 1
     zero = splat(np.float32(0))
     faults = (zero, zero, zero, zero, zero)
     for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
+        prefetch_colors(cloud.colors, cloud.coefficients, first + 2 * 16, last)
         faults = project_group(scratch, cloud, view, footprints, first, faults)
     place = chunk * CHECKED
     footprints.faults[place] = total(faults[0])
@@ -88,7 +97,7 @@ def project_chunk(scratch, cloud, view, footprints, chunk):
 @inlined
 def project_group(scratch, cloud, view, footprints, first, faults):
     """Project sixteen Gaussians; returns `faults` with NaN added where an input is not finite."""
-    last = cloud.opacities.size - 1
+    last = cloud.count - 1
     zero = np.float32(0)
     means, scales = columns_3(cloud.means, first, last), columns_3(cloud.scales, first, last)
     quats, opacities = columns_4(cloud.quats, first, last), gather_rows(cloud.opacities, first, last, 1, 0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ggavatar.compiled import inlined
 from ggavatar.render.constants import LOW_PASS, TINY_NORM
-from ggavatar.render.memory import gather_rows, load_columns_3, load_columns_4
+from ggavatar.render.memory import gather_rows, load_columns_3, load_columns_4, pointer
 from ggavatar.render.simd import absolute, fma, maximum, minimum, negate, sqrt
 
 # Places in the float32 array that describes a view.
@@ -19,9 +19,9 @@ ROTATION, TRANSLATION, FOCAL, PRINCIPAL, LIMITS, CENTER, SIZE, TILES, BACKGROUND
 
 
 class Cloud(NamedTuple):
-    """The Gaussians as flat float32 arrays.
+    """The Gaussians as flat float32 arrays or pointers to them.
 
-    `coefficients` is the number of harmonics held per channel, 0 for RGB; `degree` the highest one to evaluate.
+    `count` is the number of Gaussians; `coefficients` is the number of harmonics held per channel, 0 for RGB; `degree` the highest one to evaluate.
     """
 
     means: np.ndarray
@@ -29,8 +29,17 @@ class Cloud(NamedTuple):
     scales: np.ndarray
     opacities: np.ndarray
     colors: np.ndarray
+    count: int
     coefficients: int
     degree: int
+
+
+@inlined
+def bare_cloud(cloud):
+    """The cloud with pointers instead of arrays."""
+    means, quats, scales = pointer(cloud.means, 0), pointer(cloud.quats, 0), pointer(cloud.scales, 0)
+    opacities, colors = pointer(cloud.opacities, 0), pointer(cloud.colors, 0)
+    return Cloud(means, quats, scales, opacities, colors, cloud.count, cloud.coefficients, cloud.degree)
 
 
 @inlined

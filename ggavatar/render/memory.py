@@ -1,6 +1,7 @@
 """Loads, stores, transpositions and bit tricks for the 16-lane vectors of `ggavatar.render.simd`.
 
-Arrays are one-dimensional and contiguous; indices count elements and are not checked.
+Memory is a contiguous array or a bare pointer; indices count elements and are not checked. Kernels turn their arrays into pointers
+first, because handing an array from function to function counts references, which costs more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -19,12 +20,22 @@ _VECTOR, _INTS = ir.VectorType(_F32, LANES), ir.VectorType(_I32, LANES)
 
 def _address(context: Any, builder: ir.IRBuilder, kind: types.Array, array: ir.Value, index: ir.Value) -> ir.Value:
     """Pointer to an element."""
-    data = context.make_array(kind)(context, builder, array).data
+    data = array if isinstance(kind, types.CPointer) else context.make_array(kind)(context, builder, array).data
     return builder.gep(data, [index])
 
 
 def _vector_at(builder: ir.IRBuilder, pointer: ir.Value, kind: ir.Type) -> ir.Value:
     return builder.bitcast(pointer, kind.as_pointer())
+
+
+@intrinsic
+def pointer(typingctx: Any, array: Any, index: Any) -> Any:
+    """The address of an element, which can be indexed like an array but keeps nothing alive."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        return _address(context, builder, sig.args[0], args[0], args[1])
+
+    return types.CPointer(array.dtype)(array, types.int64), lower
 
 
 @intrinsic
