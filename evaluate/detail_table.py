@@ -133,7 +133,7 @@ def efficiency_table(study: Study) -> Table | None:
 
 
 def _costs(run: Evaluation) -> tuple[Cell, ...]:
-    found = {key: run.efficiency.get(key) for key, _, _ in COSTS}
+    found = {key: None if (value := run.efficiency.get(key)) is None else float(value) for key, _, _ in COSTS}
     where = (run.subject,), (run.method,)
     return tuple(
         _number(found[key], digits, "not recorded", Source("efficiency", *where, key, run.seed))

@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -222,7 +223,10 @@ def _frozen(value: object) -> object:
 
 
 def _text(value: object) -> str:
-    return "-".join(value) if isinstance(value, tuple) else str(value).replace(",", "-")
+    """A value in an id: readable while it is short, without any character that a file name must not have."""
+    words = "-".join(value) if isinstance(value, tuple) else str(value)
+    safe = re.sub(r"[^A-Za-z0-9._-]", "-", words)
+    return safe if len(safe) <= 40 else f"{safe[:20]}-{hashlib.sha256(words.encode()).hexdigest()[:8]}"
 
 
 def _nearest(name: str, known: Mapping[str, Any] | set[str]) -> str:

@@ -13,7 +13,7 @@ def to_markdown(tables: Sequence[Table]) -> str:
 
 
 def _table(table: Table) -> str:
-    titles = [f"{column.group} {column.title}".strip() for column in table.columns]
+    titles = [_escaped(f"{column.group} {column.title}".strip()) for column in table.columns]
     lines = [f"**{_escaped(table.caption)}**", "", _line([table.corner, *titles])]
     lines.append(_line(["---", *("---:" for _ in table.columns)]))
     section = ""

@@ -14,8 +14,8 @@ from evaluate.table import BEST, SECOND, Cell, Column, Table
 
 STYLES = {BEST: "bold red", SECOND: "yellow"}
 SIGNS = {BEST: "*", SECOND: "'"}
-PADDING = 3
-"""Cells between two columns."""
+PADDING, EDGES = 3, 2
+"""Cells between two columns, and at both ends of a line together."""
 
 
 def show(table: Table, console: Console) -> None:
@@ -34,7 +34,7 @@ def show(table: Table, console: Console) -> None:
 def parts(table: Table, width: int) -> list[list[int]]:
     """Columns by part: as many as fit into a width, columns of one group together where a group fits at all."""
     labels = [table.corner, *(row.label for row in table.rows), *(row.section for row in table.rows)]
-    room = width - max(map(cell_len, labels)) - PADDING
+    room = width - max(map(cell_len, labels)) - EDGES
     groups: list[list[int]] = []
     for place, column in enumerate(table.columns):
         if groups and column.group and table.columns[groups[-1][0]].group == column.group:

@@ -66,7 +66,7 @@ def score(
         raise InputError("expected at least one frame to score, found none")
     if protocol.region != "full" and any(protocol.region not in pair.masks for pair in pairs):
         raise InputError(
-            f"protocol {protocol.id} measures inside {protocol.region!r}; give masks of it with --regions DIR "
+            f"protocol {protocol.id} measures inside {protocol.region!r}; give masks of it with --region-masks DIR "
             f"(DIR/{protocol.region}/000123.png)"
         )
     gathering = Gathering(protocol)

@@ -51,6 +51,16 @@ def test_every_field_but_the_name_can_be_overridden_and_changes_id_and_digest() 
         seen.add(changed.digest)
 
 
+def test_ids_of_long_and_strange_values_still_name_a_folder() -> None:
+    base = named("paper")
+    everything = tuple(catalogue.METRICS)
+    long = base.override(metrics=everything, split="file:/some where/split.json")
+    other = base.override(metrics=(*everything[1:], everything[0]), split="file:/some where/split.json")
+    assert len(long.id) < 200
+    assert "/" not in long.id
+    assert long.id != other.id
+
+
 def test_overriding_back_restores_id_and_digest_and_equal_values_change_nothing() -> None:
     base = named("paper")
     assert base.override(background="black").override(background="white") == base
