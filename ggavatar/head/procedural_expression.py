@@ -145,13 +145,15 @@ def _coefficients(expression: Expression) -> list[tuple[str, tuple[bool, ...]]]:
 
 
 def lower_share(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """0 above the line between the lips, 1 below; a sharp step along the mouth, a soft one on the cheeks."""
+    """0 above the line between the lips, 1 below; a sharp step along the mouth that shrinks to the corners, a soft one on the cheeks."""
     x = np.abs(points[:, 0])
     beyond = np.maximum(x - 0.96 * MOUTH_HALF_WIDTH, 0.0)
     width = 0.00005 + 0.9 * beyond
     hinge = slit_height(np.minimum(x, MOUTH_HALF_WIDTH)) + 0.46 * np.clip(0.037 - points[:, 2], 0.0, 0.06) * np.clip(beyond / 0.01, 0, 1)
     step = np.clip((hinge - points[:, 1]) / np.minimum(width, 0.016) * 0.5 + 0.5, 0.0, 1.0)
-    return step * step * (3 - 2 * step)
+    corner = np.clip((x / MOUTH_HALF_WIDTH - 0.30) / 0.70, 0.0, 1.0) ** 2 * np.exp(-((np.maximum(beyond, 0) / 0.004) ** 2))
+    near = np.exp(-(((points[:, 1] - slit_height(x)) / 0.012) ** 2))
+    return 0.5 + (step * step * (3 - 2 * step) - 0.5) * (1 - 0.92 * corner * near)
 
 
 def expression_basis(points: Float[ndarray, "V 3"], lower: Float[ndarray, " V"], on_skin: ndarray, on_tongue: ndarray) -> Float[ndarray, "V 3 E"]:

@@ -91,4 +91,4 @@ def beanie() -> tuple[Part, Float[ndarray, "V 2"]]:
     slack = 0.012 * np.clip(rise - 0.45, 0, 1) ** 1.5
     points = skull + outwards * (brim + slack)[:, None, None]
     ends = np.stack(np.meshgrid(heading / (2 * np.pi), rise), axis=-1).reshape(-1, 2)
-    return Part(points.reshape(-1, 3), grid_faces(levels, around + 1)[:, ::-1]), ends
+    return Part(points.reshape(-1, 3), grid_faces(levels, around + 1)), ends

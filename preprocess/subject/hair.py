@@ -72,7 +72,7 @@ def _lengths(roots: ndarray, hair: Hair) -> ndarray:
     length = hair.length + (hair.fringe - hair.length) * front
     if hair.length < 0.10:
         top = np.clip((roots[:, 1] - 0.045) / 0.055, 0, 1)
-        length = length * (0.24 + 0.76 * top**1.3)
+        length = length * (0.24 + 0.76 * top**1.3) * np.where((roots[:, 1] < 0.034) & (roots[:, 2] > -0.055), 0.55, 1.0)
     return length
 
 
@@ -99,15 +99,17 @@ def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generato
     _, normal = _gradient(roots)
     comb = _combed(roots, hair) + 0.16 * generator.standard_normal((len(roots), 3))
     comb -= (comb * normal).sum(axis=1, keepdims=True) * normal
-    direction = hair.lift * (0.6 + 0.8 * layer[:, None]) * normal + (1 - 0.6 * hair.lift) * comb
+    down = np.array([0.0, -1.0, 0.0]) + normal[:, 1:2] * normal
+    comb += down * np.clip(0.6 - np.linalg.norm(comb, axis=1, keepdims=True), 0.0, 0.6)
+    direction = hair.lift * (0.6 + 0.8 * layer[:, None]) * normal + (1 - 0.6 * hair.lift) * comb 
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     nodes = [roots]
     step = (lengths / (NODES - 1))[:, None]
     margin = 0.0012 + 0.010 * layer * np.clip(hair.lift * 1.6, 0.2, 1)
+    heavy = np.clip(lengths / 0.10, 0.15, 1)[:, None]
     for index in range(1, NODES):
-        heavy = np.clip(lengths / 0.10, 0.15, 1)[:, None]
-        pull = 16.0 * step * heavy * np.array([[0.0, -1.0, 0.0]]) + 9.0 * step * comb * (1 - 0.6 * heavy)
-        direction = direction + pull + _tuck(nodes[-1]) * step * 22.0 * heavy
+        pull = 34.0 * step * heavy**2 * np.array([[0.0, -1.0, 0.0]]) + 9.0 * step * comb * (1 - 0.6 * heavy)
+        direction = direction + pull + _tuck(nodes[-1]) * step * 15.0 * heavy
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         place = nodes[-1] + step * direction
         away, out = _gradient(place)
@@ -120,7 +122,7 @@ def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generato
 
 def _tuck(points: ndarray) -> ndarray:
     """Keeps hair out of the face: beside and below the eyes it is drawn outwards and behind the ears."""
-    zone = np.clip((points[:, 2] + 0.012) / 0.02, 0, 1) * np.clip((0.085 - points[:, 1]) / 0.03, 0, 1)
+    zone = np.clip((points[:, 2] + 0.004) / 0.02, 0, 1) * np.clip((0.085 - points[:, 1]) / 0.03, 0, 1)
     return zone[:, None] * np.stack((0.75 * np.sign(points[:, 0]), np.zeros(len(points)), np.full(len(points), -0.75)), axis=1)
 
 

@@ -49,7 +49,7 @@ def _upright(poses: ndarray, hang: float) -> ndarray:
         return poses
     turned = Rotation.from_matrix(poses[:, :3, :3])
     forwards = turned.as_matrix()[:, :, 2]
-    level = Rotation.from_euler("Y", np.arctan2(forwards[:, 0], forwards[:, 2]))
+    level = Rotation.from_rotvec(np.arctan2(forwards[:, :1], forwards[:, 2:]) * (0.0, 1.0, 0.0))
     result = poses.copy()
     pivot = np.array([0.0, 0.06, -0.03])
     for frame in range(len(poses)):

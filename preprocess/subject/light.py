@@ -21,9 +21,9 @@ def lamps() -> Lights:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return Lights(
         directions=directions.astype(np.float32),
-        colors=np.array([(1.12, 1.04, 0.94), (0.20, 0.22, 0.26), (0.55, 0.56, 0.60)], np.float32),
-        sky=np.array([0.33, 0.36, 0.40], np.float32),
-        ground=np.array([0.20, 0.17, 0.15], np.float32),
+        colors=np.array([(1.42, 1.31, 1.18), (0.20, 0.22, 0.26), (0.55, 0.56, 0.60)], np.float32),
+        sky=np.array([0.27, 0.295, 0.33], np.float32),
+        ground=np.array([0.17, 0.145, 0.13], np.float32),
         camera=room.camera_position().astype(np.float32),
     )
 

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 _EYE = np.array([0.0, -0.010, 0.980])
-_TARGET = np.array([0.0, -0.028, 0.0])
-_FOCAL = 1.95
+_TARGET = np.array([0.0, -0.022, 0.0])
+_FOCAL = 2.30
 
 
 def intrinsics(size: int) -> Float[ndarray, "3 3"]:

@@ -195,6 +195,8 @@ def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
         nx, ny, nz, facing = nx - 1.02 * facing * vx, ny - 1.02 * facing * vy, nz - 1.02 * facing * vz, 0.02
     occlusion = _mixed(mesh.occlusion, mesh, index, second, third, 0)
     lit = shadowed(shadow, px + 0.002 * nx, py + 0.002 * ny, pz + 0.002 * nz)
+    # Teeth and tongue pass so much light on that shadows among them stay soft.
+    lit += (1 - lit) * max(material[3] - 1.0, 0.0) * 0.6
     _collect(material, lights, (nx, ny, nz), (vx, vy, vz), lit, occlusion, out)
     highlight = out[3]
     size = look.albedo.shape[1]

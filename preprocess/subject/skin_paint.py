@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
@@ -23,19 +25,19 @@ def blend(base: Float[ndarray, "N 3"], color: tuple[float, float, float] | ndarr
 def scalp_share(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
     """Where hair grows on the head, with a soft hairline: 1 on the crown, 0 on the face, the ears' surroundings and the nape."""
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
-    ragged = 0.003 * noise(points, 0.006, 11)
+    ragged = 0.0022 * noise(points, 0.009, 11) + 0.0010 * noise(points, 0.0025, 14)
     line = np.interp(z, [-0.125, -0.085, -0.060, -0.035, -0.012, 0.004, 0.018, 0.040], [-0.042, -0.046, -0.036, -0.004, 0.018, 0.050, 0.074, 0.083])
-    line = line - 0.010 * np.exp(-((x / 0.020) ** 2)) * (z > 0) + 0.006 * np.exp(-(((x - 0.040) / 0.010) ** 2)) * (z > 0.01)
-    return step(-0.004, 0.005, y - line + ragged)
+    line = line - 0.004 * np.exp(-((x / 0.016) ** 2)) * (z > 0) + 0.005 * np.exp(-(((x - 0.040) / 0.010) ** 2)) * (z > 0.01)
+    return step(-0.007, 0.006, y - line + ragged)
 
 
 def beard_share(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
     """Where a beard grows: jaw, chin, upper lip, sideburns, upper throat."""
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     ragged = 0.003 * noise(points, 0.007, 12)
-    upper = np.interp(x, [0.0, 0.020, 0.028, 0.045, 0.060], [-0.030, -0.031, -0.046, -0.040, 0.020])
+    upper = np.interp(x, [0.0, 0.020, 0.028, 0.047, 0.059, 0.066], [-0.030, -0.031, -0.048, -0.041, -0.016, 0.030])
     lower = np.interp(z, [-0.03, 0.0, 0.03], [-0.075, -0.098, -0.110])
-    inside = step(-0.003, 0.003, upper - y + ragged) * step(-0.005, 0.005, y - lower + ragged) * step(-0.038, -0.026, z)
+    inside = step(-0.005, 0.006, upper - y + ragged) * step(-0.005, 0.005, y - lower + ragged) * step(-0.034, -0.018, z)
     return inside * (1 - step(0.2, 0.8, vermilion(points))) * (1 - 0.75 * bump(points, (0.0, -0.058, 0.052), (0.016, 0.0025, 0.02)))
 
 
@@ -65,18 +67,20 @@ def skin_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Floa
     color = blend(color, np.asarray(skin.tone) * (0.80, 0.68, 0.66), 0.42 * lids)
     color = blend(color, np.asarray(skin.tone) * (0.78, 0.70, 0.74), 0.35 * bump(points, (0.026, 0.010, 0.038), (0.014, 0.006, 0.02)))
     if skin.freckles > 0:
-        color = blend(color, np.asarray(skin.tone) * (0.72, 0.54, 0.44), skin.freckles * _freckles(points, seed))
+        color = blend(color, np.asarray(skin.tone) * (0.80, 0.64, 0.54), skin.freckles * _freckles(points, seed))
     if skin.stubble > 0:
         grain = 0.65 + 0.35 * noise(points, 0.0014, seed + 7)
-        color = blend(color, np.asarray(person.hair.color) * 0.6 + np.asarray(skin.tone) * 0.22, skin.stubble * 0.75 * beard_share(points) * grain)
+        color = blend(color, np.asarray(person.hair.color) * 0.5 + np.asarray(skin.tone) * 0.40, skin.stubble * 0.75 * beard_share(points) * grain)
     lips = vermilion(points)
     lines = 1 + 0.10 * noise(points * (6.0, 0.8, 1.0), 0.004, seed + 8)
     color = blend(color, np.asarray(skin.lips), lips) * np.where(lips > 0.3, lines, 1.0)[:, None]
-    roots = scalp_share(points) * (0.93 if person.hair.length > 0.03 else 0.86)
+    roots = scalp_share(points) * (0.93 if person.hair.length > 0.03 else 0.86) * (person.hair.length > 0)
     color = blend(color, np.asarray(person.hair.color) * 0.55, roots)
     if person.beard:
         color = blend(color, np.asarray(person.beard.color) * 0.8 + np.asarray(skin.tone) * 0.12, 0.8 * beard_share(points))
     color = blend(color, np.asarray(person.brow) * 0.6 + np.asarray(skin.tone) * 0.35, 0.55 * person.brow_weight * brow_share(points))
+    nostril = bump(points, (0.0068, -0.0262, 0.0585), (0.0030, 0.0028, 0.0050))
+    color = blend(color, np.asarray(skin.tone) * (0.30, 0.16, 0.13), np.clip(1.5 * nostril - 0.25, 0, 0.95))
     return _lid_edges(color, points, person)
 
 
@@ -93,9 +97,9 @@ def _freckles(points: ndarray, seed: int) -> ndarray:
     """Spots of random size across nose and cheeks."""
     generator = np.random.default_rng(seed + 20)
     zone = np.maximum(bump(points, (0.026, -0.004, 0.045), (0.026, 0.018, 0.04)), 0.35 * bump(points, (0.0, 0.06, 0.04), (0.04, 0.02, 0.03)))
-    candidates = points[generator.choice(len(points), 1500, replace=False, p=zone / zone.sum())]
+    candidates = points[generator.choice(len(points), 1100, replace=False, p=zone / zone.sum())]
     sizes = generator.uniform(0.00035, 0.0011, len(candidates))
-    strengths = generator.uniform(0.25, 0.9, len(candidates))
+    strengths = generator.uniform(0.15, 0.75, len(candidates))
     away, nearest = cKDTree(candidates).query(points, distance_upper_bound=0.003)
     nearest = np.minimum(nearest, len(candidates) - 1)
     return step(1.3, 0.5, np.minimum(away, 1.0) / sizes[nearest]) * strengths[nearest] * step(0.02, 0.25, zone)
@@ -146,10 +150,11 @@ def tooth_color(points: Float[ndarray, "N 3"], *, upper: bool) -> Float[ndarray,
 
 def paint_head(texels: Texels, groups: dict[str, Int[ndarray, " F"]], person: Person, seed: int) -> Float[ndarray, "R R 3"]:
     """The head's colour texture, sRGB; `groups` lists the faces of each piece."""
+    bare = replace(person, skin=replace(person.skin, stubble=0.0), beard=None, hair=replace(person.hair, length=-1.0))
     painters = {
         "skin": lambda p: skin_color(p, person, seed),
-        "left_ear": lambda p: skin_color(p, person, seed),
-        "right_ear": lambda p: skin_color(p, person, seed),
+        "left_ear": lambda p: skin_color(p, bare, seed),
+        "right_ear": lambda p: skin_color(p, bare, seed),
         "mouth_bag": lambda p: np.tile((0.48, 0.17, 0.17), (len(p), 1)) * (1 + 0.15 * noise(p, 0.006, seed))[:, None],
         "tongue": lambda p: np.tile((0.70, 0.36, 0.36), (len(p), 1)) * (1 + 0.12 * noise(p, 0.0016, seed))[:, None],
         "left_eyeball": lambda p: eye_color(p, person, seed),

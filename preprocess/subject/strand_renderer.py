@@ -36,31 +36,37 @@ def draw_strands(
 
 @kernel
 def _draw(pixels, colors, widths, order, depth, color, alpha):
-    """Walk the segments in `order`, each inside its bounding box."""
+    """Walk the segments in `order`, each along its longer side, with a window of samples across."""
     height, width = depth.shape
     segments = pixels.shape[1] - 1
     for item in range(order.shape[0]):
         strand, node = order[item] // segments, order[item] % segments
         ax, ay, az = pixels[strand, node, 0], pixels[strand, node, 1], pixels[strand, node, 2]
-        bx, by, bz = pixels[strand, node + 1, 0], pixels[strand, node + 1, 1], pixels[strand, node + 1, 2]
-        if min(az, bz) < 0.05:
+        dx, dy, dz = pixels[strand, node + 1, 0] - ax, pixels[strand, node + 1, 1] - ay, pixels[strand, node + 1, 2] - az
+        if min(az, az + dz) < 0.05:
             continue
         thickness = 0.5 * (widths[strand, node] + widths[strand, node + 1])
-        share, half = min(thickness, 1.0), 0.5 * max(thickness, 1.0)
-        reach = half + 0.5
-        left, right = max(0, int(min(ax, bx) - reach)), min(width - 1, int(max(ax, bx) + reach))
-        top, bottom = max(0, int(min(ay, by) - reach)), min(height - 1, int(max(ay, by) + reach))
-        dx, dy = bx - ax, by - ay
+        share, reach = min(thickness, 1.0), 0.5 * max(thickness, 1.0) + 0.5
         squared = max(dx * dx + dy * dy, 1e-6)
         length = np.sqrt(squared)
-        for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
+        steep = abs(dy) >= abs(dx)
+        start, run, side, slope = (ay, dy, ax, dx) if steep else (ax, dx, ay, dy)
+        slope = slope / run if abs(run) > 1e-6 else 0.0
+        window = reach * length / max(abs(run), 1e-3) if abs(run) > 1e-3 else reach
+        window = min(window, 2.0 * reach)
+        long_size, short_size = (height, width) if steep else (width, height)
+        first, last = int(max(min(start, start + run) - reach, 0.0)), int(min(max(start, start + run) + reach, long_size - 1.0))
+        for major in range(first, last + 1):
+            middle = side + slope * (major + 0.5 - start)
+            low, high = int(max(middle - window, 0.0)), int(min(middle + window, short_size - 1.0))
+            for minor in range(low, high + 1):
+                row, column = (major, minor) if steep else (minor, major)
                 px, py = column + 0.5 - ax, row + 0.5 - ay
                 along = (px * dx + py * dy) / squared
                 if along < 0.0 or along >= 1.0:
                     continue
                 cover = min(max(reach - abs(px * dy - py * dx) / length, 0.0), 1.0) * share
-                if cover <= 0.0 or az + along * (bz - az) > depth[row, column] + _BEHIND:
+                if cover <= 0.0 or az + along * dz > depth[row, column] + _BEHIND:
                     continue
                 for channel in range(3):
                     tone = colors[strand, node, channel] * (1 - along) + colors[strand, node + 1, channel] * along

@@ -78,7 +78,7 @@ class Studio:
         inside = np.unique(fine[self._character.material == MOUTH])
         depth = np.clip(0.053 - self._character.rest[inside, 2], 0.0, 0.08)
         opening = geometry.mouth_open
-        open_sky[inside] = np.clip((opening + 0.0008) / (opening + 0.0008 + 0.8 * depth), 0.02, 1.0)
+        open_sky[inside] = np.clip((opening + 0.0008) / (opening + 0.0008 + 0.35 * depth), 0.02, 1.0)
         return open_sky[:, None]
 
     def _look(self, geometry: Pose) -> Look:

@@ -47,7 +47,7 @@ def build_torso(garment: Garment) -> Torso:
     radius = radius + fold
     points = np.stack((radius * np.sin(heading), height + 0 * heading, _CENTER_Z + radius * np.cos(heading)), axis=-1)
     u, v = np.meshgrid(heading / (2 * np.pi), 1 - share)
-    faces = grid_faces(_LEVELS, _AROUND + 1)
+    faces = grid_faces(_LEVELS, _AROUND + 1)[:, ::-1]
     uv = np.stack((u, v), axis=-1).reshape(-1, 2)
     return Torso(points.reshape(-1, 3), faces, uv[faces])
 

@@ -108,10 +108,14 @@ def patches(texels: Texels) -> list[Patch]:
     """All folds as pieces of the height texture."""
     found = []
     front = texels.points[:, 2] > 0.0
+    flat = texels.points[:, :2]
     for fold in FOLDS:
+        corners = np.concatenate([np.asarray(curve) for curve in fold.curves])
+        low, high = corners.min(axis=0) - 5.5 * fold.width, corners.max(axis=0) + 5.5 * fold.width
         for side, sign in (("left", 1.0), ("right", -1.0)):
             heights = np.zeros(len(texels.points))
-            near = front & (texels.points[:, 0] * sign > -0.0005)
+            mirrored = flat * (sign, 1)
+            near = front & (mirrored[:, 0] > -0.0005) & ((mirrored > low) & (mirrored < high)).all(axis=1)
             heights[near] = _profile(texels.points[near] * (sign, 1, 1), fold)
             rows, columns = texels.rows[heights != 0], texels.columns[heights != 0]
             canvas = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), np.float32)
