@@ -35,20 +35,23 @@ def parts(table: Table, width: int) -> list[list[int]]:
     """Columns by part: as many as fit into a width, columns of one group together where a group fits at all."""
     labels = [table.corner, *(row.label for row in table.rows), *(row.section for row in table.rows)]
     room = width - max(map(cell_len, labels)) - EDGES
-    groups: list[list[int]] = []
-    for place, column in enumerate(table.columns):
-        if groups and column.group and table.columns[groups[-1][0]].group == column.group:
-            groups[-1].append(place)
-        else:
-            groups.append([place])
     chunks: list[list[int]] = []
-    for group in groups:
+    for group in _groups(table, room):
         needed = sum(_width(table, place) for place in [*(chunks[-1] if chunks else ()), *group])
         if chunks and needed <= room:
             chunks[-1] += group
         else:
             chunks.append(list(group))
     return chunks
+
+
+def _groups(table: Table, room: int) -> list[list[int]]:
+    """Columns that stay together: those of one group, or each for itself where a group is wider than the room."""
+    groups: dict[str, list[int]] = {}
+    for place, column in enumerate(table.columns):
+        groups.setdefault(column.group or str(place), []).append(place)
+    fitting = {name: sum(_width(table, place) for place in places) <= room for name, places in groups.items()}
+    return [part for name, places in groups.items() for part in ([places] if fitting[name] else [[p] for p in places])]
 
 
 def _width(table: Table, place: int) -> int:
