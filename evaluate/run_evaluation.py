@@ -102,6 +102,9 @@ def discard(home: Path) -> None:
         path.unlink(missing_ok=True)
     for name in (METRICS_FILE, FRAMES_FILE, SUMMARY):
         (home / name).unlink(missing_ok=True)
+    for path in folders:
+        if path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
 
 
 def _read(path: Path) -> dict[str, Any]:

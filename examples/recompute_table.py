@@ -13,7 +13,7 @@ def number(result, kind, metric):
         return result["efficiency"][metric]
     values = [v for v in result["per_frame"]["mse" if metric == "psnr_pooled" else metric] if v is not None]
     if metric == "psnr_pooled":
-        return -10 * log10(fmean(values)) if kind == "mean" else len(values)
+        return len(values) if kind == "count" else -10 * log10(fmean(values))
     best_first = sorted(values, reverse=result["summary"][metric]["higher_is_better"])
     known = {"median": median, "std_over_frames": stdev, "count": len}
     return fmean(best_first[-ceil(len(values) / 20) :]) if kind == "worst_5_percent" else known.get(kind, fmean)(values)
