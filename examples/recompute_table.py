@@ -11,7 +11,8 @@ def number(result, kind, metric):
     """One statistic of one result, from its per-frame values."""
     if kind == "efficiency":
         return result["efficiency"][metric]
-    values = [v for v in result["per_frame"]["mse" if metric == "psnr_pooled" else metric] if v is not None]
+    name = "mse" if metric == "psnr_pooled" else metric
+    values = [value for value in result["per_frame"].get(name, []) if value is not None]
     if metric == "psnr_pooled":
         return len(values) if kind == "count" else -10 * log10(fmean(values))
     best_first = sorted(values, reverse=result["summary"][metric]["higher_is_better"])
