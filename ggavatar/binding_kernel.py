@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32, Int64
+from numpy import ndarray
 
 from ggavatar.compiled import kernel, run
 from ggavatar.quaternions import (
@@ -21,8 +23,8 @@ from ggavatar.quaternions import (
 CHUNK = 8192
 """Gaussians of a task."""
 
-Floats = np.ndarray[Any, np.dtype[np.float32]]
-Indices = np.ndarray[Any, np.dtype[np.int64]]
+Floats = Float32[ndarray, "..."]
+Indices = Int64[ndarray, " N"]
 
 
 class Faces(NamedTuple):

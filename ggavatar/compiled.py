@@ -6,6 +6,7 @@ depend on the number of threads, two callers never disturb each other, and a for
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 import tempfile
@@ -40,13 +41,13 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel on its first call, cached on disk. Division by zero follows IEEE, contraction to fused multiply-add is allowed."""
     options = {"cache": True, "nogil": True, "error_model": "numpy", "boundscheck": False, "fastmath": {"contract", "nsz", "arcp"}}
-    return numba.njit(**options)(function)
+    return numba.njit(**options)(inspect.unwrap(function))  # unwrapped: tests check types through decorators
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """A helper of kernels, inlined by LLVM."""
     options = {"cache": True, "nogil": True, "error_model": "numpy", "boundscheck": False, "fastmath": {"contract", "nsz", "arcp"}}
-    return numba.njit(inline="never", forceinline=True, **options)(function)
+    return numba.njit(inline="never", forceinline=True, **options)(inspect.unwrap(function))
 
 
 _pools: dict[int, ThreadPoolExecutor] = {}

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, cast
 
-import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32
+from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -110,6 +110,6 @@ def _compiled_target(image: Tensor) -> DssimTarget:
     return target
 
 
-def _matrix(image: Tensor) -> np.ndarray[Any, Any]:
+def _matrix(image: Tensor) -> Float32[ndarray, "H K"]:
     """An image as rows of W·C floats."""
     return image.detach().contiguous().flatten(1).numpy()

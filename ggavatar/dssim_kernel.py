@@ -1,16 +1,17 @@
 """Structural similarity and its gradient in one sweep over stripes of an image (twin: `dssim.dssim_in_torch`).
 
-An image is a matrix of H rows and W·3 floats; a neighbour across is 3 floats away. A stripe's rows run through two rings
-of 11 lines: blurred inputs, from which a line of similarities and their derivatives is made, and blurred derivatives,
-from which a line of the gradient is made. All of it stays in the second-level cache; only the gradient is written.
+An image is a matrix of H rows and W·3 floats; a neighbour across is 3 floats away. A stripe's rows run through two
+rings of 11 lines: blurred inputs, which give a line of similarities and their derivatives, and blurred derivatives,
+which give a line of the gradient. All of it stays in the second-level cache; only the gradient is written.
 """
 
 from __future__ import annotations
 
 from math import exp
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
+from numpy import ndarray
 
 from ggavatar.compiled import inlined, kernel, run
 
@@ -23,7 +24,7 @@ STRIPE = 128
 """Rows of a stripe; 20 more are swept, so smaller stripes cost more work and larger ones occupy fewer threads."""
 
 
-def window() -> np.ndarray[Any, np.dtype[np.float32]]:
+def window() -> Float32[ndarray, " K"]:
     """The normalised one-dimensional Gaussian window."""
     weights = np.array([exp(-((index - REACH) ** 2) / (2 * SIGMA**2)) for index in range(WINDOW)])
     return (weights / weights.sum()).astype(np.float32)
@@ -165,7 +166,7 @@ def _take_row(x, y, row, padded, inputs, weights):
         _blur_across(padded[k], inputs[k, slot], weights)
 
 
-Lines = np.ndarray[Any, np.dtype[np.float32]]
+Lines = Float32[ndarray, "H K"]
 """An image as rows of W·3 floats."""
 
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
 from torch import Tensor, nn
 
 from ggavatar.acceleration import compiled_for
@@ -188,7 +189,7 @@ class _CompiledLookup(torch.autograd.Function):
         return None, gradient, None
 
 
-def kernel_points(unit: Float[Tensor, "N 3"]) -> np.ndarray[Any, np.dtype[np.float32]]:
+def kernel_points(unit: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:
     """Positions [3, N] as the kernels want them; one that is not a number must not become an index."""
     return torch.nan_to_num(unit.T).contiguous().numpy()
 

@@ -6,7 +6,8 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32, Int64
+from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import linear, relu
 
@@ -89,7 +90,7 @@ def _forward(ctx: Any, features: Tensor, parameters: tuple[Tensor, ...]) -> Tens
     return result
 
 
-def _backward(ctx: Any, upstream: Tensor) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], list[Tensor]]:
+def _backward(ctx: Any, upstream: Tensor) -> tuple[Int64[ndarray, " A"], Float32[ndarray, "A D"], list[Tensor]]:
     """Rows with a gradient, the gradient of their features, and that of every weight and bias."""
     from ggavatar import perceptron_kernel as kernels
 

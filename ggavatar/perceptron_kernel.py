@@ -7,9 +7,11 @@ the same bits for any number of threads.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32, Int64
+from numpy import ndarray
 
 from ggavatar.compiled import inlined, kernel, run
 from ggavatar.render.memory import load, store
@@ -21,7 +23,7 @@ BLOCK = 64
 CHUNK = 32 * BLOCK
 """Rows of a task."""
 
-Floats = np.ndarray[Any, np.dtype[np.float32]]
+Floats = Float32[ndarray, "..."]
 
 
 class Layer(NamedTuple):
@@ -214,7 +216,7 @@ class Gradients(NamedTuple):
         layers: Gradients of every layer's weight and bias.
     """
 
-    rows: np.ndarray[Any, np.dtype[np.int64]]
+    rows: Int64[ndarray, " A"]
     features: Floats
     layers: list[tuple[Floats, Floats]]
 

@@ -6,9 +6,11 @@ table by one thread in the order of the points: no atomics, and the same bits fo
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32, Int64, UInt32
+from numpy import ndarray
 
 from ggavatar.compiled import inlined, kernel, run
 from ggavatar.pairs import add_to_pairs, blend_pairs
@@ -23,17 +25,17 @@ GROUP = 2
 FEATURES = 2
 """Features of an entry; tables with other numbers take the torch twin."""
 
-Floats = np.ndarray[Any, np.dtype[np.float32]]
+Floats = Float32[ndarray, "..."]
 
 
 class Layout(NamedTuple):
     """What the kernels know of the tables: one element a table."""
 
-    axes: np.ndarray[Any, np.dtype[np.int64]]
+    axes: Int64[ndarray, "K 2"]
     scale: Floats
-    side: np.ndarray[Any, np.dtype[np.uint32]]
-    mask: np.ndarray[Any, np.dtype[np.uint32]]
-    first: np.ndarray[Any, np.dtype[np.uint32]]
+    side: UInt32[ndarray, " K"]
+    mask: UInt32[ndarray, " K"]
+    first: UInt32[ndarray, " K"]
 
 
 @inlined

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from ggavatar.binding import Placed, bind
 from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.deform import AdjusterConfig, BasisAdjuster, refine
+from ggavatar.deform import AdjusterConfig, BasisAdjuster, Offsets, refine
 from ggavatar.density import DensityControl, accumulate, statistics
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry import TriangleFrames, project, triangle_frames
@@ -192,8 +192,7 @@ class GGAvatar(nn.Module):
         rows = self.rows
         means, quats, scales = self._placed(self._face_frames(drive))
         if self.adjuster is not None and not self.is_neutral:
-            latent = self.adjuster.latent(self.head.condition(drive))  # Eq. 10
-            offsets = self.adjuster.offsets(self._hidden(), latent)  # Eq. 9 and 11, W never built
+            offsets = self._offsets(self.head.condition(drive))  # Eq. 9–11, W never built
             means, quats, scales = refine(means, quats, scales, offsets, self.config.offset_unit)  # Eq. 12
         colors = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
         return Gaussians(means, quats, scales, rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
@@ -248,17 +247,19 @@ class GGAvatar(nn.Module):
         rows = self.rows
         return bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], frames)
 
-    def _hidden(self) -> Float[Tensor, "N H"]:
-        """The basis network's last layer at the neutral positions x (Eq. 9); in evaluation computed once."""
+    def _offsets(self, condition: Float[Tensor, " C"]) -> Offsets:
+        """W(x)·f(ψ, θ) at the neutral positions x (Eq. 9–11); evaluation computes what depends on x only once."""
         assert self.adjuster is not None
-        if self._kept_hidden is not None:
-            return self._kept_hidden
-        with torch.no_grad():
-            x = self._placed(self.neutral_frames).means
-        hidden = self.adjuster.hidden(x)
-        if not self.training and not torch.is_grad_enabled():
-            self._kept_hidden = hidden
-        return hidden
+        if self.training or torch.is_grad_enabled():
+            return self.adjuster(self._neutral_positions(), condition)
+        if self._kept_hidden is None:
+            self._kept_hidden = self.adjuster.cache(self._neutral_positions())
+        return self.adjuster.offsets(self._kept_hidden, self.adjuster.latent(condition))
+
+    @torch.no_grad()
+    def _neutral_positions(self) -> Float[Tensor, "N 3"]:
+        """The Gaussians on the neutral head."""
+        return self._placed(self.neutral_frames).means
 
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
