@@ -35,23 +35,33 @@ class Crop:
         return cv2.resize(cut, (side, side), interpolation=method)
 
 
-def choose_crops(error: Float[np.ndarray, "H W"], count: int, fraction: float = 0.2) -> list[Crop]:
+def choose_crops(
+    error: Float[np.ndarray, "H W"], count: int, fraction: float = 0.2, focus: Float[np.ndarray, "H W"] | None = None
+) -> list[Crop]:
     """Squares with the largest mean error, without overlap, in descending order of error.
 
     Args:
         error: Error per pixel, for several methods their mean, so that the choice favours none.
         count: How many to choose; fewer come back where no more fit.
         fraction: Side of a square relative to the shorter side of the picture.
+        focus: Weight per pixel in [0, 1], such as a mask of the face: the first square is the worst by error × focus.
 
     Returns:
         The crops; ties are broken towards the top left, so the choice is reproducible.
     """
     size = max(2, round(min(error.shape) * fraction))
-    sums = cv2.boxFilter(error, -1, (size, size), anchor=(0, 0), normalize=True, borderType=cv2.BORDER_CONSTANT)
-    scores = sums[: error.shape[0] - size + 1, : error.shape[1] - size + 1].copy()
+    taken = np.zeros((error.shape[0] - size + 1, error.shape[1] - size + 1), bool)
     crops: list[Crop] = []
-    while len(crops) < count and np.isfinite(scores).any():
+    while len(crops) < count and not taken.all():
+        weighted = error * focus if focus is not None and focus.any() and not crops else error
+        scores = np.where(taken, -np.inf, _window_means(weighted, size))
         top, left = (int(index) for index in np.unravel_index(np.argmax(scores), scores.shape))
         crops.append(Crop(left, top, size))
-        scores[max(0, top - size + 1) : top + size, max(0, left - size + 1) : left + size] = -np.inf
+        taken[max(0, top - size + 1) : top + size, max(0, left - size + 1) : left + size] = True
     return crops
+
+
+def _window_means(values: Float[np.ndarray, "H W"], size: int) -> Float[np.ndarray, "h w"]:
+    """Mean of every square of a size, by its top left corner."""
+    means = cv2.boxFilter(values, -1, (size, size), anchor=(0, 0), normalize=True, borderType=cv2.BORDER_CONSTANT)
+    return means[: values.shape[0] - size + 1, : values.shape[1] - size + 1]

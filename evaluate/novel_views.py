@@ -63,7 +63,11 @@ def novel_views(
     over_y = views_at(avatar, rasterize, pose, [(yaw, 0.0) for yaw in YAWS], background)
     over_x = views_at(avatar, rasterize, pose, [(0.0, pitch) for pitch in PITCHES], background)
     rows = [
-        Row([resized(image, width) for image in over_y], "turned over y", [f"{angle:+.0f}°" for angle in YAWS]),
-        Row([resized(image, width) for image in over_x], "turned over x", [f"{angle:+.0f}°" for angle in PITCHES]),
+        Row([resized(image, width) for image in over_y], "turned over y", [_degrees(angle) for angle in YAWS]),
+        Row([resized(image, width) for image in over_x], "turned over x", [_degrees(angle) for angle in PITCHES]),
     ]
     return sheet(rows, note="0° is the camera of the frame; the expression is held")
+
+
+def _degrees(angle: float) -> str:
+    return f"{angle:+.0f}°" if angle else "0°"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from evaluate.comparison_table import printed
 from evaluate.drive import drives_of, fitted_to
 from evaluate.frame_files import frame_file
 from evaluate.ground_truth import Color, Truth
@@ -109,7 +110,7 @@ def _driven(options: Options, run: Run, background: Color) -> Shot:
         drawn = [view.number for view in _part(views, options.frames)]
         chosen = [driver.frames[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
         path = output.folder / "reenactment.png"
-        results = {run.method: [read_rgb(frame_file(output.folder / FRAMES, frame)) for frame in chosen]}
+        results = {printed(run.method): [read_rgb(frame_file(output.folder / FRAMES, frame)) for frame in chosen]}
         captions = [f"frame {frame}" for frame in chosen]
         write_png(path, reenactment(_driver_pictures(source, chosen, background), results, captions))
         return path

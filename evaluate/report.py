@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from evaluate.catalogue import metric_of, title_of
+from evaluate.comparison_table import printed
 from evaluate.curves import COLORS
 from evaluate.outputs import build_tables
 from evaluate.render_table_html import STYLE, to_fragment
 from evaluate.report_pictures import report_pictures
 from evaluate.results import Evaluation, write_text
 from evaluate.shown import Shown, measured, names_of, worst_frames
+from evaluate.table import Table
 from ggavatar.errors import InputError
 
 TEMPLATE = "report.html"
@@ -42,7 +44,7 @@ def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) ->
     if len(kinds) > 1:
         raise InputError(f"expected one subject under one protocol in a report, found {len(kinds)}; write one for each")
     evaluations = [one.evaluation for one in shown]
-    tables = "\n".join(to_fragment(table) for table in build_tables(evaluations))
+    tables = "\n".join(map(_table, build_tables(evaluations)))
     parts = {
         "TITLE": escape(_title(shown)),
         "SUMMARY": _summary(evaluations[0], len(shown) > 1),
@@ -59,11 +61,11 @@ def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) ->
 def report_data(shown: Sequence[Shown], megabytes: float) -> dict[str, Any]:
     """What the page's script draws: numbers of all frames, pictures of those that fit."""
     pictures, limit = report_pictures(shown, megabytes)
-    columns = measured(shown)
+    columns, headline = measured(shown), set(shown[0].evaluation.protocol.table_metrics)
     return {
         "methods": names_of(shown),
         "colors": [COLORS[index % len(COLORS)] for index in range(len(shown))],
-        "metrics": [_metric(name) for name in columns],
+        "metrics": [_metric(name, name in headline or name.startswith("psnr@")) for name in columns],
         "frames": list(shown[0].evaluation.frames),
         "values": {
             name: [_by_frame(one.evaluation, shown[0].evaluation.frames, name) for one in shown] for name in columns
@@ -76,10 +78,23 @@ def report_data(shown: Sequence[Shown], megabytes: float) -> dict[str, Any]:
     }
 
 
-def _metric(name: str) -> dict[str, Any]:
+def _table(table: Table) -> str:
+    """A table as HTML; the long one is folded."""
+    fragment = to_fragment(table)
+    return f"<details><summary>All metrics</summary>{fragment}</details>" if table.name == "detail" else fragment
+
+
+def _metric(name: str, main: bool) -> dict[str, Any]:
     metric = metric_of(name)
     unit = "" if metric.unit == "1" else metric.unit
-    return {"name": name, "title": title_of(name), "unit": unit, "digits": metric.digits, "arrow": metric.arrow}
+    return {
+        "name": name,
+        "title": title_of(name),
+        "unit": unit,
+        "digits": metric.digits,
+        "arrow": metric.arrow,
+        "main": main,
+    }
 
 
 def _by_frame(evaluation: Evaluation, frames: Sequence[int], name: str) -> list[float | str | None]:
@@ -98,7 +113,7 @@ def _title(shown: Sequence[Shown]) -> str:
 
 def _summary(evaluation: Evaluation, named: bool) -> str:
     """The numbers of the main table, large; with the method's name where the page shows several."""
-    cells = [f"<div><dt>Method</dt><dd>{escape(evaluation.method)}</dd></div>"] if named else []
+    cells = [f"<div><dt>Method</dt><dd>{escape(printed(evaluation.method))}</dd></div>"] if named else []
     for name in evaluation.protocol.table_metrics:
         metric, mean = metric_of(name), evaluation.summary(name).mean
         value = "–" if mean is None else f"{mean:.{metric.digits}f}"

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from evaluate.catalogue import metric_of
+from evaluate.comparison_table import printed
 from evaluate.frame_files import frame_files
 from evaluate.results import Evaluation
 from ggavatar.errors import InputError
@@ -26,12 +27,14 @@ class Shown:
         predictions: Folder of renders.
         truth: Folder of ground truth.
         fps: Frames per second of the source video.
+        faces: Folder of masks of the face, if there is one.
     """
 
     evaluation: Evaluation
     predictions: Path
     truth: Path
     fps: float = 25.0
+    faces: Path | None = None
 
     @staticmethod
     def in_folder(evaluation: Evaluation, home: Path) -> Shown:
@@ -40,7 +43,7 @@ class Shown:
             fps = float(json.loads((home / "predict.json").read_text(encoding="utf-8"))["identity"]["fps"])
         except (OSError, ValueError, KeyError, TypeError):
             fps = 25.0
-        return Shown(evaluation, home / "predictions", home / "ground_truth", fps)
+        return Shown(evaluation, home / "predictions", home / "ground_truth", fps, home / "regions" / "face")
 
     def pair(self, frame: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
         """Render and ground truth of a frame; `InputError` if one is missing or they differ in size."""
@@ -56,10 +59,10 @@ class Shown:
 
 def names_of(shown: Sequence[Shown]) -> list[str]:
     """Distinct labels: the method, with its seed or a number where several share one."""
-    methods = [one.evaluation.method for one in shown]
+    methods = [printed(one.evaluation.method) for one in shown]
     labels = []
     for index, one in enumerate(shown):
-        method, seed = one.evaluation.method, one.evaluation.seed
+        method, seed = methods[index], one.evaluation.seed
         label = method if methods.count(method) == 1 or seed is None else f"{method} (seed {seed})"
         labels.append(label if label not in labels else f"{label} #{index + 1}")
     return labels

@@ -33,9 +33,9 @@ def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None]
     Returns:
         The files: report, comparison, side-by-side video, curves and worst frames, where there was something to draw.
     """
-    name = shown.evaluation.method
+    (name,) = names_of([shown])
     writers: dict[str, Callable[[Path], object]] = {
-        COMPARISON: lambda path: write_comparison(path, {name: shown.predictions}, shown.truth),
+        COMPARISON: lambda path: write_comparison(path, {name: shown.predictions}, shown.truth, focus=shown.faces),
         VIDEO: lambda path: write_side_by_side(path, shown.predictions, shown.truth, shown.fps, name),
         CURVES: lambda path: write_curves(path, [shown]),
         WORST: lambda path: write_worst_frames(path, shown),
@@ -73,7 +73,7 @@ def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
         stem = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
         figure, page = folder / f"comparison-{stem}.png", folder / f"report-{stem}.html"
         folders = {name: one.predictions for name, one in zip(names_of(members), members, strict=True)}
-        write_comparison(figure, folders, members[0].truth)
+        write_comparison(figure, folders, members[0].truth, focus=members[0].faces)
         write_report(page, members)
         written += [figure, page]
     return written

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
-from evaluate.comparison import Sample, comparison, load_sample, typical_frames, write_comparison
+from evaluate.comparison import load_sample, typical_frames, write_comparison
+from evaluate.comparison_layout import Sample, comparison
 from evaluate.crops import Crop, choose_crops
 from evaluate.frame_files import common_frames, frame_file, frame_files
 from evaluate.heatmap import colored, error_map, psnr, scale_bar, shared_limit
@@ -73,6 +74,16 @@ def test_crops_do_not_overlap_and_stay_inside() -> None:
     assert covered.max() == 1 and len(crops) >= 4
     levels = (error * 2).astype(np.uint8)[..., None]
     assert [crop.cut(levels).max() for crop in crops[:3]] == [2, 1, 0]
+
+
+def test_the_first_crop_is_in_the_focus() -> None:
+    error = np.zeros((40, 40), np.float32)
+    error[30:, 30:], error[5, 5] = 1.0, 0.2
+    focus = np.zeros((40, 40), np.float32)
+    focus[:10, :10] = 1.0
+    first, second = choose_crops(error, 2, focus=focus)
+    assert first.top <= 5 < first.top + 8 and first.left <= 5 < first.left + 8 and second.top >= 25
+    assert choose_crops(error, 1, focus=focus * 0)[0].top >= 25, "an empty focus is no focus"
 
 
 def test_a_crop_enlarged_by_a_whole_factor_repeats_pixels(random: np.random.Generator) -> None:
@@ -145,8 +156,11 @@ def test_comparison_shows_truth_methods_and_errors(folders: dict[str, Path], tmp
     sample = load_sample(30, methods, folders["truth"])
     errors = sample.errors()
     assert errors["poor"].mean() > 2 * errors["good"].mean()
-    alone = comparison([Sample("", sample.truth, {"same": sample.truth})], crops=0)
-    assert alone.shape[1] < figure.shape[1]
+    bare = comparison([Sample("", sample.truth, {"same": sample.truth})], crops=0)
+    alone = comparison([Sample("", sample.truth, {"same": sample.truth})])
+    assert bare.shape[1] < alone.shape[1] and bare.shape[0] == alone.shape[0], "one method lies in one row"
+    with pytest.raises(ValueError, match="in every sample"):
+        comparison([sample, Sample("", sample.truth, {"other": sample.truth})])
 
 
 def test_comparison_refuses_what_does_not_match(folders: dict[str, Path], tmp_path: Path) -> None:

@@ -1,0 +1,143 @@
+"""How the comparison is laid out: three rows a frame for several methods, one row a frame for a single one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from evaluate.crops import Crop, choose_crops
+from evaluate.heatmap import colored, error_map, psnr, scale_bar, shared_limit
+from evaluate.lettering import INK, MUTED, PAPER, Color, coverage, put
+from evaluate.sheet import GAP, Row, resized, sheet, type_size
+
+CROP_COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (0, 114, 178))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame as several methods see it.
+
+    Attributes:
+        label: Written at the left of its rows.
+        truth: Ground truth.
+        renders: Pictures of the same size by method, in the order of the columns.
+        focus: Mask of what matters most, such as the face; the first crop is chosen there.
+    """
+
+    label: str
+    truth: UInt8[np.ndarray, "H W 3"]
+    renders: Mapping[str, UInt8[np.ndarray, "H W 3"]]
+    focus: UInt8[np.ndarray, "H W"] | None = None
+
+    def errors(self) -> dict[str, Float[np.ndarray, "H W"]]:
+        """Error maps by method."""
+        return {name: error_map(image, self.truth) for name, image in self.renders.items()}
+
+    def crops(self, count: int) -> list[Crop]:
+        """Squares where the methods err most on average, the first of them within the focus."""
+        focus = None if self.focus is None else self.focus.astype(np.float32) / 255
+        return choose_crops(np.mean(list(self.errors().values()), axis=0), count, focus=focus)
+
+
+def comparison(samples: Sequence[Sample], crops: int = 2, width: int | None = None) -> UInt8[np.ndarray, "H W 3"]:
+    """Pictures with PSNR, enlarged crops and error maps; one colour scale for the whole figure.
+
+    Args:
+        samples: From the top; all with the same methods.
+        crops: Enlarged squares a picture; 0 leaves them out.
+        width: Of one picture, px; by default that of the pictures, between 240 and 400.
+    """
+    names = list(samples[0].renders)
+    if any(list(sample.renders) != names for sample in samples):
+        found = [list(sample.renders) for sample in samples]
+        raise ValueError(f"expected the methods {names} in every sample, got {found}")
+    width = width or int(np.clip(samples[0].truth.shape[1], 240, 400))
+    limit = shared_limit(error for sample in samples for error in sample.errors().values())
+    note = f"Error: mean |difference| of R, G, B, 0 to {limit:g}."
+    if crops:
+        first = ", the first in the face" if all(sample.focus is not None for sample in samples) else ""
+        note = f"Crops: where the error is largest{first}. {note}"
+    if len(names) == 1:
+        headings = ["Ground truth", names[0], *(["Crops: truth, render"] if crops else []), f"Error, 0 to {limit:g}"]
+        return sheet([_single(sample, crops, width, limit) for sample in samples], headings, note)
+    spaces = [3 * GAP * (index > 0) for index in range(len(samples))]
+    rows = [
+        row
+        for sample, space in zip(samples, spaces, strict=True)
+        for row in _several(sample, crops, width, limit, space)
+    ]
+    return sheet(rows, ["Ground truth", *names], note)
+
+
+def _single(sample: Sample, count: int, width: int, limit: float) -> Row:
+    """One row: truth, render, crops of both, error."""
+    ((_, render),) = sample.renders.items()
+    crops = sample.crops(count)
+    tiles = [_marked(image, crops, width) for image in (sample.truth, render)]
+    captions = ["", f"{psnr(render, sample.truth):.2f} dB"]
+    if count:
+        pairs = [_enlarged(image, crops, tiles[0].shape[0], upright=True) for image in (sample.truth, render)]
+        tiles.append(_beside(pairs, width))
+        captions.append("")
+    tiles.append(resized(colored(error_map(render, sample.truth), limit), width))
+    return Row(tiles, sample.label, [*captions, ""])
+
+
+def _beside(strips: Sequence[np.ndarray], width: int) -> UInt8[np.ndarray, "H W 3"]:
+    """Two strips as one tile no wider than `width`."""
+    gap = np.full((strips[0].shape[0], GAP, 3), PAPER, np.uint8)
+    both = np.concatenate((strips[0], gap, strips[1]), axis=1)
+    return resized(both, width) if both.shape[1] > width else both
+
+
+def _several(sample: Sample, count: int, width: int, limit: float, space: int) -> list[Row]:
+    """Three rows: pictures, crops, errors."""
+    crops = sample.crops(count)
+    pictures = [sample.truth, *sample.renders.values()]
+    captions = ["", *(f"{psnr(image, sample.truth):.2f} dB" for image in sample.renders.values())]
+    rows = [Row([_marked(image, crops, width) for image in pictures], sample.label, captions, space)]
+    if crops:
+        rows.append(Row([_enlarged(image, crops, width) for image in pictures], "crops"))
+    maps = [resized(colored(error, limit), width) for error in sample.errors().values()]
+    rows.append(Row([_legend(maps[0].shape[0], width, limit), *maps], "error"))
+    return rows
+
+
+def _marked(image: np.ndarray, crops: Sequence[Crop], width: int) -> np.ndarray:
+    """A picture with the outlines of the crops."""
+    shown, factor = resized(image, width).copy(), width / image.shape[1]
+    for crop, color in zip(crops, CROP_COLORS, strict=False):
+        first = (round(crop.left * factor), round(crop.top * factor))
+        last = (round((crop.left + crop.size) * factor) - 1, round((crop.top + crop.size) * factor) - 1)
+        cv2.rectangle(shown, first, last, color, 2)
+    return shown
+
+
+def _enlarged(image: np.ndarray, crops: Sequence[Crop], length: int, upright: bool = False) -> np.ndarray:
+    """The crops in a row (or upright in a column) of a length, px, each framed in its colour."""
+    side = (length - GAP * (len(crops) - 1)) // len(crops)
+    band = np.full((side, length, 3), PAPER, np.uint8)
+    for index, (crop, color) in enumerate(zip(crops, CROP_COLORS, strict=False)):
+        tile = crop.enlarged(image, side)
+        cv2.rectangle(tile, (0, 0), (side - 1, side - 1), color, 3)
+        start = index * (side + GAP)
+        band[:, start : start + side] = tile.transpose(1, 0, 2) if upright else tile
+    return band.transpose(1, 0, 2).copy() if upright else band
+
+
+def _legend(height: int, width: int, limit: float) -> np.ndarray:
+    """The colour scale with its ends, in the place under the ground truth."""
+    tile = np.full((height, width, 3), PAPER, np.uint8)
+    size, bar = type_size(width), scale_bar(max(8, height // 14), round(width * 0.8))
+    top, left = height // 2 - bar.shape[0], (width - bar.shape[1]) // 2
+    tile[top : top + bar.shape[0], left : left + bar.shape[1]] = bar
+    for text, position in (("0", 0.0), (f"{limit / 2:g}", 0.5), (f"≥ {limit:g}", 1.0)):
+        covered = coverage(text, size * 0.85)
+        put(tile, covered, left + round(position * (bar.shape[1] - covered.shape[1])), top + bar.shape[0] + 4, MUTED)
+    title = coverage("mean |difference|", size * 0.85)
+    put(tile, title, (width - title.shape[1]) // 2, top - title.shape[0] - 6, INK)
+    return tile
