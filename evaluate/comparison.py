@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evaluate.comparison_layout import Sample, comparison
-from evaluate.frame_files import common_frames, frame_file, frame_files
+from evaluate.frame_files import common_frames, find_frame, frame_file
 from ggavatar.errors import InputError
 from ggavatar.pictures import read_grey, read_rgb, write_png
 
@@ -16,28 +16,21 @@ QUANTILES = {0.1: "easy (best 10 %)", 0.5: "median", 0.95: "hard (worst 5 %)"}
 
 
 def load_sample(
-    frame: int, methods: Mapping[str, Path], truth: Path, label: str = "", focus: Path | None = None
+    frame: int, methods: Mapping[str, Path], truth: Path, label: str = "", focus: Sequence[Path] = ()
 ) -> Sample:
-    """Read one frame of every method, and its mask in `focus` where there is one.
+    """Read one frame of every method, and the union of its masks in the folders of `focus` that have it.
 
     Raises:
         InputError: A picture is missing, or sizes differ.
     """
-    files = {name: frame_files(folder) for name, folder in methods.items()}
-    true_files = frame_files(truth)
-    absent = [name for name, found in {**files, "ground truth": true_files}.items() if frame not in found]
-    if absent:
-        raise InputError(
-            f"expected frame {frame} of every method, found none of {', '.join(absent)}; choose another frame"
-        )
-    image = read_rgb(true_files[frame])
-    renders = {name: read_rgb(found[frame]) for name, found in files.items()}
+    image = read_rgb(find_frame(truth, frame))
+    renders = {name: read_rgb(find_frame(folder, frame)) for name, folder in methods.items()}
     for name, render in renders.items():
         if render.shape != image.shape:
-            raise InputError(f"{files[name][frame]}: expected {_size(image)} px, found {_size(render)}")
-    mask = frame_file(focus, frame) if focus is not None else None
-    chosen = read_grey(mask) if mask is not None and mask.is_file() else None
-    return Sample(label or f"frame {frame}", image, renders, chosen)
+            raise InputError(f"{methods[name]}: expected frame {frame} of {_size(image)} px, found {_size(render)}")
+    masks = [read_grey(path) for folder in focus if (path := frame_file(folder, frame)).is_file()]
+    union = np.maximum.reduce(masks) if masks else None
+    return Sample(label or f"frame {frame}", image, renders, union)
 
 
 def _size(image: np.ndarray) -> str:
@@ -67,7 +60,7 @@ def write_comparison(
     truth: Path,
     frames: Sequence[int] | None = None,
     crops: int = 2,
-    focus: Path | None = None,
+    focus: Sequence[Path] = (),
 ) -> list[int]:
     """Draw the comparison of folders of pictures into a PNG.
 
@@ -77,7 +70,7 @@ def write_comparison(
         truth: Folder of ground truth.
         frames: Which frames, from the top; by default an easy, the median and a hard one, so that none is hand-picked.
         crops: Enlarged squares a picture.
-        focus: Folder of masks, such as of the face, within which the first crop is chosen.
+        focus: Folders of masks, such as of face and mouth, within which the first crop is chosen.
 
     Returns:
         The frames shown.

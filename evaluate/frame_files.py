@@ -43,6 +43,19 @@ def frame_files(folder: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
+def find_frame(folder: Path, frame: int) -> Path:
+    """The picture of one frame, whatever its name; `InputError` if the folder has none."""
+    path = frame_file(folder, frame)
+    if path.is_file():
+        return path
+    files = frame_files(folder)
+    if frame not in files:
+        raise InputError(
+            f"{folder}: expected a picture of frame {frame}, found none; render it, or choose another frame"
+        )
+    return files[frame]
+
+
 def common_frames(folders: Sequence[Path]) -> list[int]:
     """Frame numbers that every folder holds, ascending; `InputError` if there are none."""
     numbers = set.intersection(*(set(frame_files(folder)) for folder in folders))

@@ -39,6 +39,8 @@ class Options:
     """Source frame number of the driver's neutral frame; found if not given."""
     target_neutral: int | None = None
     """Source frame number of the avatar's neutral frame, also held in an orbit; found if not given."""
+    beside: tuple[Path, ...] = ()
+    """Folders that --drive wrote for other runs and the same performance, as further rows of reenactment.png."""
     force_basis: bool = False
     """Accept a driver with another number of coefficients or version of the same family of bases."""
     yaw: float = 40.0

@@ -12,7 +12,7 @@ import torch
 
 from evaluate.comparison_table import printed
 from evaluate.drive import drives_of, fitted_to
-from evaluate.frame_files import frame_file
+from evaluate.frame_files import find_frame
 from evaluate.ground_truth import Color, Truth
 from evaluate.motion import Motion, motion_of, read_motion
 from evaluate.novel_views import novel_views
@@ -20,7 +20,7 @@ from evaluate.orbit import head_center, sweep, turned
 from evaluate.protocol import Protocol
 from evaluate.reenact import Transfer, neutral_row, transferred
 from evaluate.reenactment_figure import reenactment, telling_rows
-from evaluate.render_views import FRAMES, VIDEO, Output, View, claim, render_views
+from evaluate.render_views import FRAMES, VIDEO, Output, View, claim, read_note, render_views
 from evaluate.video import playback_fps
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
@@ -110,12 +110,24 @@ def _driven(options: Options, run: Run, background: Color) -> Shot:
         drawn = [view.number for view in _part(views, options.frames)]
         chosen = [driver.frames[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
         path = output.folder / "reenactment.png"
-        results = {printed(run.method): [read_rgb(frame_file(output.folder / FRAMES, frame)) for frame in chosen]}
+        results = _labelled(printed(run.method), output.folder, options.beside)
+        rows = {
+            name: [read_rgb(find_frame(home / FRAMES, frame)) for frame in chosen] for name, home in results.items()
+        }
         captions = [f"frame {frame}" for frame in chosen]
-        write_png(path, reenactment(_driver_pictures(source, chosen, background), results, captions))
+        write_png(path, reenactment(_driver_pictures(source, chosen, background), rows, captions))
         return path
 
     return Shot(f"drive-{source.stem}", views, driver.fps, figure)
+
+
+def _labelled(method: str, own: Path, folders: Sequence[Path]) -> dict[str, Path]:
+    """Our folder and those of earlier renders, by distinct names of methods."""
+    found = {method: own}
+    for folder in folders:
+        name = printed(read_note(folder))
+        found[name if name not in found else f"{name} ({folder.name})"] = folder
+    return found
 
 
 def _rows_of(motion: Motion, frames: Sequence[int]) -> np.ndarray:
@@ -169,7 +181,7 @@ def _sized(view: View, width: int | None) -> View:
 
 def _content(options: Options, run: Run) -> dict[str, Any]:
     """What decides the pictures, as plain values: equal for equal pictures."""
-    skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device"}
+    skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
     return {"subject": run.capture.subject, "method": run.method, "step": run.step, "options": chosen}

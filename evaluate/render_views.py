@@ -81,6 +81,14 @@ def claim(output: Output, content: dict[str, Any], overwrite: bool, resume: bool
     write_atomically(note, lambda stream: stream.write(text.encode()))
 
 
+def read_note(folder: Path) -> str:
+    """The method that drew a folder; `InputError` if ggavatar-render did not write it."""
+    try:
+        return str(json.loads((folder / NOTE).read_text(encoding="utf-8"))["method"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}: expected a folder written by ggavatar-render, found none ({error!r})") from error
+
+
 def _key(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 

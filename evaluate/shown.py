@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 
 from evaluate.catalogue import metric_of
 from evaluate.comparison_table import printed
-from evaluate.frame_files import frame_files
+from evaluate.frame_files import find_frame
 from evaluate.results import Evaluation
 from ggavatar.errors import InputError
 from ggavatar.pictures import read_rgb
@@ -27,14 +27,14 @@ class Shown:
         predictions: Folder of renders.
         truth: Folder of ground truth.
         fps: Frames per second of the source video.
-        faces: Folder of masks of the face, if there is one.
+        faces: Folders of masks of the face and its parts, which may be missing.
     """
 
     evaluation: Evaluation
     predictions: Path
     truth: Path
     fps: float = 25.0
-    faces: Path | None = None
+    faces: tuple[Path, ...] = ()
 
     @staticmethod
     def in_folder(evaluation: Evaluation, home: Path) -> Shown:
@@ -43,17 +43,16 @@ class Shown:
             fps = float(json.loads((home / "predict.json").read_text(encoding="utf-8"))["identity"]["fps"])
         except (OSError, ValueError, KeyError, TypeError):
             fps = 25.0
-        return Shown(evaluation, home / "predictions", home / "ground_truth", fps, home / "regions" / "face")
+        faces = tuple(home / "regions" / name for name in ("face", "mouth", "eyes"))
+        return Shown(evaluation, home / "predictions", home / "ground_truth", fps, faces)
 
     def pair(self, frame: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
         """Render and ground truth of a frame; `InputError` if one is missing or they differ in size."""
-        files = frame_files(self.predictions), frame_files(self.truth)
-        for folder, found in zip((self.predictions, self.truth), files, strict=True):
-            if frame not in found:
-                raise InputError(f"{folder}: expected frame {frame}, found no such picture; evaluate again")
-        render, truth = read_rgb(files[0][frame]), read_rgb(files[1][frame])
+        render, truth = read_rgb(find_frame(self.predictions, frame)), read_rgb(find_frame(self.truth, frame))
         if render.shape != truth.shape:
-            raise InputError(f"{files[0][frame]}: expected the size of the ground truth; evaluate again")
+            raise InputError(
+                f"{self.predictions}: frame {frame} has another size than the ground truth; evaluate again"
+            )
         return render, truth
 
 

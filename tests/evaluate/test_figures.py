@@ -164,10 +164,10 @@ def test_comparison_shows_truth_methods_and_errors(folders: dict[str, Path], tmp
 
 
 def test_comparison_refuses_what_does_not_match(folders: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="frame 5 of every method"):
+    with pytest.raises(InputError, match="picture of frame 5"):
         load_sample(5, {"good": folders["good"]}, folders["truth"])
     write_png(frame_file(tmp_path / "small", 30), np.zeros((4, 4, 3), np.uint8))
-    with pytest.raises(InputError, match="expected 30×40 px, found 4×4"):
+    with pytest.raises(InputError, match="frame 30 of 30×40 px, found 4×4"):
         load_sample(30, {"small": tmp_path / "small"}, folders["truth"])
     write_png(frame_file(tmp_path / "other", 31), np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(InputError, match="frames common"):

@@ -70,6 +70,11 @@ def test_another_capture_drives(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_p
     assert len(names(folder / "frames")) == COUNT and (folder / "reenactment.png").exists()
     assert read_rgb(folder / "frames" / "000010.png").shape == (2 * HEIGHT, 2 * WIDTH, 3)
     assert json.loads((folder / "render.json").read_text())["options"]["transfer"] == "relative"
+    alone = read_rgb(folder / "reenactment.png").shape
+    again = ["--drive", tmp_path / "driver", "--width", 64, "--resume", "--no-video", "--beside"]
+    assert render(monkeypatch, run, *again, folder) == 0
+    assert read_rgb(folder / "reenactment.png").shape[0] > alone[0]
+    assert render(monkeypatch, run, *again, tmp_path) == 2
 
 
 def test_parameters_drive_and_other_bases_do_not(

@@ -130,7 +130,7 @@ def test_reports_do_not_mix_subjects_or_protocols(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least one"):
         write_report(tmp_path / "report.html", [])
     frame_file(one.truth, 40).unlink()
-    with pytest.raises(InputError, match="expected frame 40"):
+    with pytest.raises(InputError, match="picture of frame 40"):
         write_report(tmp_path / "report.html", [one])
     assert not (tmp_path / "report.html").exists()
 
