@@ -19,7 +19,7 @@ from ggavatar.capture import Capture
 from ggavatar.checkpoint import complete_steps, load_checkpoint
 from ggavatar.errors import InputError
 from ggavatar.progress import read_journal
-from ggavatar.runs import open_run, write_config
+from ggavatar.runs import open_run, write_config, write_json
 from ggavatar.session import Interrupted, configure, make_trainer, train_run
 from ggavatar.trainer import FiniteGuard, StopSignals, Trainer, TrainingError
 
@@ -58,6 +58,7 @@ def start(capture: Capture, folder: Path, **changes: Any) -> Trainer:
     config = dataclasses.replace(config, training=dataclasses.replace(config.training, log_every=1))
     folder.mkdir(parents=True, exist_ok=True)
     write_config(folder, config, split)
+    write_json(folder / "provenance.json", {})
     return make_trainer(folder, config, capture, split)
 
 
@@ -154,8 +155,8 @@ def psnr(folder: Path, backend: str = "auto") -> float:
 @pytest.mark.parametrize("name", sorted(registry.names()))
 def test_every_method_learns_the_toy(name: str, toy_capture: Capture, tmp_path: Path) -> None:
     """From the first checkpoint to the last the test PSNR rises well above a blank picture's."""
-    options = {**OPTIONS, "steps": 160, "save_every": 160, "method": name, "max_gaussians": 800}
-    assert train_run(toy_capture.folder, tmp_path / "run", options, quiet=True) == 160
+    options = {**OPTIONS, "steps": 100, "save_every": 100, "method": name, "max_gaussians": 400, "set": ["crop_side=24"]}
+    assert train_run(toy_capture.folder, tmp_path / "run", options, quiet=True) == 100
     run = open_run(tmp_path / "run")
     blank = sum(float(-10 * torch.log10((1 - frame.image).square().mean())) for frame in run.frames(run.split.test))
     assert psnr(tmp_path / "run") > blank / len(run.split.test) + 6
@@ -166,7 +167,7 @@ def test_checkpoint_round_trip_and_novel_drive(name: str, toy_capture: Capture, 
     """A reopened avatar draws what the trained one drew, also for a drive that no frame had."""
     import dataclasses
 
-    trainer = start(toy_capture, tmp_path / "run", method=name, steps=40, set=[])
+    trainer = start(toy_capture, tmp_path / "run", method=name, steps=20, set=["crop_side=24"])
     trainer.run(0, StopSignals())
     reopened = open_run(tmp_path / "run").avatar
     frame = trainer.frames.frame(toy_capture.frames[0])
