@@ -37,6 +37,7 @@ class Metric:
 
 _WINDOW = "11x11 Gaussian window of sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1"
 _LUMA = "on 0.299 R + 0.587 G + 0.114 B"
+_LANDMARKS = "the five YuNet landmarks, in distances between the truth's eyes; frames without a face are left out"
 _SIGNED, _UNIT = "[-1, 1]", "[0, 1] without the shift the weights were made for, as in 3DGS code"
 
 
@@ -91,10 +92,31 @@ _METRICS = (
         "mean of |render[t] - render[t-1]| over pixels where no channel of the truth changes by more than 2/255 and "
         "the mask, if there is one, covers half or more in t-1 and t; range 1",
     ),
+    _error(
+        "landmark_distance",
+        "Landmarks",
+        f"mean distance between render and truth of {_LANDMARKS}",
+    ),
+    _error(
+        "landmark_jitter",
+        "Jitter",
+        f"mean |e[t-2] - 2 e[t-1] + e[t]|, e the error of {_LANDMARKS}; source frames t-2 to t all scored",
+    ),
+    Metric(
+        "identity",
+        "CSIM",
+        True,
+        3,
+        "1",
+        "cosine of the SFace embeddings of render and truth, each aligned by its own YuNet landmarks; frames without "
+        "a face in either are left out and counted",
+        0.01,
+    ),
 )
 
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _METRICS})
 TEMPORAL = ("frame_difference", "flicker")
+FACES = ("landmark_distance", "landmark_jitter", "identity")
 REGION_METRICS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ssim_3dgs_luma")
 """Metrics that have a masked form, `NAME@REGION`."""
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from evaluate.faces import FaceMetrics
 from evaluate.options import Options, parse
 from evaluate.outputs import build_tables, write_tables
 from evaluate.pairing import pair_folders
@@ -17,7 +18,7 @@ from evaluate.protocol import Protocol
 from evaluate.regression import Check, check_limits, compare, parse_limits, to_github, write_junit
 from evaluate.render_table_terminal import show
 from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
-from evaluate.score import Labels, Perceptual, learned_metrics, score
+from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
 from evaluate.weights import model_folders
 from ggavatar.errors import GateError, InputError, run_command
 
@@ -113,7 +114,8 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
     labels = Labels(*names, seed=folders.seed, provenance=provenance)
-    return score(pairs, protocol, labels, learned(options, protocol), options.threads, progress)
+    networks = learned(options, protocol), found_faces(options, protocol)
+    return score(pairs, protocol, labels, *networks, options.threads, progress)
 
 
 def folder_protocol(options: Options) -> Protocol:
@@ -132,7 +134,12 @@ def folder_protocol(options: Options) -> Protocol:
 
 def learned(options: Options, protocol: Protocol) -> Perceptual | None:
     """Learned metrics of a protocol, unless switched off."""
-    return learned_metrics(protocol, model_folders(options.models)) if not options.no_lpips else None
+    return learned_metrics(protocol, model_folders(options.models)) if not options.no_learned else None
+
+
+def found_faces(options: Options, protocol: Protocol) -> FaceMetrics | None:
+    """Metrics of faces of a protocol, unless switched off."""
+    return None if options.no_learned else face_metrics(protocol, model_folders(options.models))
 
 
 def _visuals(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:

@@ -34,9 +34,13 @@ TITLES = MappingProxyType(
         "point_avatar": "PointAvatar",
         "splatting_avatar": "SplattingAvatar",
         "mono_gaussian_avatar": "MonoGaussianAvatar",
+        "ggavatar_without_adjuster": "w/o Geometry Morph Adjuster",
+        "ggavatar_without_triplane": "w/o tri-plane",
+        "ggavatar_without_lbs": "w/o LBS",
+        "ggavatar_without_initialization": "w/o initialization",
     }
 )
-"""Printed names of methods by their names on the command line; others are printed as they are."""
+"""Printed names of methods by their names on the command line, as in the paper; others are printed as they are."""
 
 
 def printed(method: str) -> str:
@@ -194,7 +198,8 @@ def _frames(study: Study) -> str:
 
 def notes(study: Study) -> tuple[str, ...]:
     """What a reader must know about the cells."""
-    found = ["Cells are means over test frames; best and second are marked per metric, ties after rounding shared."]
+    found = [conditions(study.protocol)]
+    found.append("Cells are means over test frames; best and second are marked per metric, ties after rounding shared.")
     if any(len(study.runs(s, m)) > 1 for s in study.subjects for m in study.methods):
         found.append("± is the sample deviation over seeds, not over frames.")
     found += _missing_notes(study)
@@ -207,6 +212,18 @@ def notes(study: Study) -> tuple[str, ...]:
             )
     found += [f"{e.subject}, {printed(e.method)}: {note}" for e in study.evaluations for note in e.notes]
     return tuple(dict.fromkeys(found))
+
+
+def conditions(protocol: Protocol) -> str:
+    """What a fair table must state, in one sentence."""
+    parts = [f"test frames {protocol.split}", f"background {protocol.background}", f"masks {protocol.mask}"]
+    parts += [
+        f"region {protocol.region}",
+        f"size {protocol.resolution}",
+        "8-bit pictures, nothing fitted to test frames",
+    ]
+    exact = [f"{title_of(name)}: {metric_of(name).definition}" for name in protocol.table_metrics]
+    return f"{protocol.id}: {', '.join(parts)}. {'; '.join(exact)}."
 
 
 def _missing_notes(study: Study) -> list[str]:

@@ -127,7 +127,7 @@ def efficiency_table(study: Study) -> Table | None:
     rows = tuple(
         Row(f"{e.subject} · {printed(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e)) for e in known
     )
-    words = {str(e.efficiency[key]) for e in known for key in ("fps_statement", "device") if key in e.efficiency}
+    words = {e.efficiency["fps_statement"] for e in known if e.efficiency.get("fps_statement")}
     caption = "What rendering and training cost."
     return Table("efficiency", caption, "Method", columns, rows, tuple(sorted(words)), protocol=study.protocol.id)
 

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.catalogue import TEMPORAL
+from evaluate.catalogue import FACES, TEMPORAL
+from evaluate.faces import Landmarks, jitter
 from evaluate.protocol import Protocol
 from evaluate.results import Evaluation, Value
 from evaluate.temporal import flicker, frame_difference_error
@@ -31,6 +32,7 @@ class Scored:
         foreground: Non-zero where the person is; None without masks.
         hashes: SHA-256 of the files by kind.
         notes: Departures of the files from 8-bit RGB.
+        landmark_error: Render minus truth, in distances between the eyes; None if no face was found or looked for.
     """
 
     frame: int
@@ -39,6 +41,7 @@ class Scored:
     foreground: UInt8[np.ndarray, "H W"] | None
     hashes: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    landmark_error: Landmarks | None = None
 
 
 @dataclass(frozen=True)
@@ -73,11 +76,12 @@ class Gathering:
         self._files: dict[str, list[str]] = {}
         self._notes: dict[str, int] = {}
         self._last: Scored | None = None
+        self._errors: dict[int, Landmarks | None] = {}
 
     def add(self, scored: Scored) -> None:
         """Take the next frame."""
         self._frames.append(scored.frame)
-        self._rows.append({**scored.values, **self._moving(scored)})
+        self._rows.append({**scored.values, **self._moving(scored), **self._jitter(scored)})
         for kind, sha256 in scored.hashes.items():
             self._files.setdefault(kind, []).append(f"{scored.frame} {sha256}\n")
         for note in scored.notes:
@@ -98,6 +102,15 @@ class Gathering:
         if "flicker" in self._temporal:
             found["flicker"] = flicker(before.images, now.images, mask)
         return found
+
+    def _jitter(self, now: Scored) -> dict[str, Value]:
+        """Landmark jitter of this frame and the two before it, if all three were scored."""
+        if "landmark_jitter" not in self._protocol.metrics:
+            return {}
+        self._errors[now.frame] = now.landmark_error
+        last = [self._errors.get(now.frame - back) for back in (2, 1, 0)]
+        self._errors.pop(now.frame - 2, None)
+        return {"landmark_jitter": jitter(last)}
 
     def evaluation(self, labels: Labels, unavailable: Mapping[str, str], weights: Mapping[str, str]) -> Evaluation:
         """The evaluation of all frames taken.
@@ -134,6 +147,8 @@ def _reason(name: str) -> str:
         return f"no mask shows the region {region}"
     if base in TEMPORAL:
         return "no two scored frames are consecutive, or nothing stands still"
+    if base in FACES:
+        return "no face was found, or in too few consecutive frames"
     return "the images are too small"
 
 

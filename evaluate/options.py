@@ -103,8 +103,8 @@ class Options:
     """Set the paper's rows below ours (their protocol is not stated)."""
     no_report: bool = False
     """Leave out the HTML report, the comparison figure, the side-by-side video and the curves."""
-    no_lpips: bool = False
-    """Leave out learned metrics even where their weights are at hand."""
+    no_learned: Annotated[bool, Alias(aliases=["--no-lpips"])] = False
+    """Leave out learned metrics (LPIPS, faces) even where their weights are at hand."""
     models: Path | None = None
     """Folder with weights of learned metrics; $GGAVATAR_MODELS by default."""
     device: str = "auto"

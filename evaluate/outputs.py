@@ -13,7 +13,7 @@ from evaluate import (
 )
 from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
 from evaluate.detail_table import detail_table, efficiency_table, significance_table
-from evaluate.paper_table import with_paper
+from evaluate.paper_table import ablation_with_paper, with_paper
 from evaluate.results import Evaluation, write_text
 from evaluate.table import Table
 
@@ -48,10 +48,10 @@ def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper:
 
 
 def _main_table(study: Study, layout: str, paper: bool) -> Table:
-    if paper:
-        return with_paper(study)
-    wide = len(study.subjects) == 1 and len(study.methods) > 4
-    return ablation_table(study) if layout == "ablation" or (layout == "auto" and wide) else subjects_table(study)
+    many = len(study.subjects) == 1 and len(study.methods) > 4
+    if layout == "ablation" or (layout == "auto" and many):
+        return ablation_with_paper(study) if paper else ablation_table(study)
+    return with_paper(study) if paper else subjects_table(study)
 
 
 def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:

@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluate.comparison_table import Study, printed, subjects_table
+from evaluate.comparison_table import Study, ablation_table, printed, subjects_table
 from evaluate.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
 
 OURS = "Ours"
 PAPER = Path(__file__).with_name("paper.csv")
+SECTION = "paper (protocol not stated)"
 NOTE = (
-    "Rows of the paper (Li et al. 2024, Table 1) stand beside ours for orientation only: the paper states neither "
-    "background, SSIM variant, LPIPS network nor input range, and its subjects are not ours."
+    "Rows of the paper (Li et al. 2024, Tables 1 and 2) stand beside ours for orientation only: the paper states "
+    "neither background, SSIM variant, LPIPS network nor input range, and its subjects are not ours."
 )
 METRICS = (("psnr", "PSNR ↑", True, 2), ("ssim", "SSIM ↑", True, 3), ("lpips", "LPIPS ↓", False, 3))
 
@@ -76,6 +77,19 @@ def with_paper(study: Study) -> Table:
     return dataclasses.replace(table, columns=tuple(columns), rows=tuple(drawn), notes=(*table.notes, NOTE))
 
 
+def ablation_with_paper(study: Study) -> Table:
+    """Our ablation with the paper's Table 2 in a section below; nothing is ranked across the two."""
+    table = ablation_table(study)
+    families = [_family(name) for name in study.metrics]
+    own = [dataclasses.replace(row, section=row.section or study.subjects[0]) for row in table.rows]
+    theirs = []
+    for row in paper_table_2().rows:
+        cells = dict(zip((name for name, *_ in METRICS), row.cells, strict=True))
+        drawn = tuple(cells.get(name, missing_cell("not in the paper's table")) for name in families)
+        theirs.append(Row(_ours(row.label), drawn, f"ID 1, {SECTION}", row.rule))
+    return dataclasses.replace(table, rows=(*own, *theirs), notes=(*table.notes, NOTE))
+
+
 def _paper_rows(
     published: Sequence[Published], methods: Sequence[str], metrics: Sequence[str], columns: Sequence[Column]
 ) -> list[Row]:
@@ -90,7 +104,7 @@ def _paper_rows(
                 known = metric in numbers
                 reason = "not in the paper's table"
                 cells.append(number_cell(numbers[metric], digits[metric]) if known else missing_cell(reason))
-        rows.append(marked_across(Row(subject, tuple(cells), "paper (protocol not stated)"), columns))
+        rows.append(marked_across(Row(subject, tuple(cells), SECTION), columns))
     return rows
 
 
@@ -113,5 +127,6 @@ def _ours(method: str) -> str:
 
 
 def _family(metric: str) -> str:
-    """The paper's column nearest to one of our metrics."""
-    return metric.partition("_")[0]
+    """The paper's column nearest to one of our metrics; where there is none, the metric itself."""
+    base = metric.partition("_")[0]
+    return base if base in ("ssim", "lpips") else metric

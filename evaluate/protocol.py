@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from evaluate.catalogue import METRICS, REGION_DEFINITION, REGION_METRICS
+from evaluate.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS
 from ggavatar.errors import InputError
 
 GIVEN = "given"
@@ -151,7 +151,7 @@ class Protocol:
 
 _PIXELS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ms_ssim")
 _TEMPORAL = ("frame_difference", "flicker")
-_ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *_TEMPORAL)
+_ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *_TEMPORAL, *FACES)
 _HELD_OUT_END = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *_TEMPORAL)
 _PARTS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
 _LINEAGE = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")

@@ -16,8 +16,8 @@ from evaluate.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
 from evaluate.protocol import Protocol
 from evaluate.region_masks import write_region_masks
 from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
-from evaluate.score import learned_metrics, score
-from evaluate.weights import model_folders
+from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
+from evaluate.weights import NO_WEIGHTS, model_folders
 from ggavatar.errors import InputError
 from ggavatar.runs import Run, open_run, read_config
 
@@ -46,10 +46,12 @@ def evaluate_run(
     protocol = fitted(options.base_protocol(config.split), run)
     job = job_of(run, protocol)
     home = folder / "eval" / protocol.id
-    learned = None if options.no_lpips else learned_metrics(protocol, model_folders(options.models))
+    folders = model_folders(options.models)
+    learned = None if options.no_learned else learned_metrics(protocol, folders)
+    faces = None if options.no_learned else face_metrics(protocol, folders)
     if options.again or _is_stale(home, job):
         discard(home)
-    kept = _kept(home, protocol, learned.missing if learned else None)
+    kept = _kept(home, protocol, set(unavailable(protocol, learned, faces)))
     if kept is not None:
         return kept, [home / METRICS_FILE, home / FRAMES_FILE]
     summary = predict_frames(run, job, home, progress("rendering"))
@@ -57,7 +59,7 @@ def evaluate_run(
     drawn = write_region_masks(run, home, job.frames, (*protocol.regions, *inside))
     regions = home / "regions" if drawn else None
     pairs = pair_folders(home / "predictions", home / "ground_truth", home / "masks", regions, job.frames)
-    evaluation = score(pairs, protocol, _labels(run, summary), learned, options.threads, progress("scoring"))
+    evaluation = score(pairs, protocol, _labels(run, summary), learned, faces, options.threads, progress("scoring"))
     return evaluation, write_results(evaluation, home)
 
 
@@ -79,17 +81,16 @@ def _is_stale(home: Path, job: Job) -> bool:
     return path.is_file() and _read(path).get("key") != job.key()
 
 
-def _kept(home: Path, protocol: Protocol, missing: dict[str, str] | None) -> Evaluation | None:
-    """An evaluation that is up to date: same predictions, same protocol, and no more learned metrics to be had."""
+def _kept(home: Path, protocol: Protocol, missing: set[str]) -> Evaluation | None:
+    """An evaluation that is up to date: same predictions, same protocol, same learned metrics without networks."""
     if not (home / METRICS_FILE).is_file() or not _read(home / SUMMARY).get("complete"):
         return None
     try:
         found = read_results(home)
     except InputError:
         return None
-    learned = {name for name in found.missing if name.startswith("lpips")}
-    wanted = set(missing) if missing is not None else {name for name in protocol.metrics if name.startswith("lpips")}
-    return found if found.protocol.digest == protocol.digest and learned == wanted else None
+    lacking = {name for name, reason in found.missing.items() if reason == OFF or reason.startswith(NO_WEIGHTS)}
+    return found if found.protocol.digest == protocol.digest and lacking == missing else None
 
 
 def discard(home: Path) -> None:

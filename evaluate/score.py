@@ -12,6 +12,8 @@ from typing import TypeVar, runtime_checkable
 
 import numpy as np
 
+from evaluate.catalogue import FACES
+from evaluate.faces import FaceMetrics
 from evaluate.gather import Gathering, Labels, Scored
 from evaluate.measure import measure_pixels
 from evaluate.pairing import FramePair
@@ -25,6 +27,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
 
+OFF = "learned metrics were switched off"
 INSIDE = ("psnr", "mse", "l1")
 """What a protocol with a region measures over the region's pixels only."""
 
@@ -46,6 +49,7 @@ def score(
     protocol: Protocol,
     labels: Labels,
     perceptual: Perceptual | None = None,
+    faces: FaceMetrics | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
@@ -56,6 +60,7 @@ def score(
         protocol: What to measure.
         labels: Names for the table.
         perceptual: Learned metrics; `learned_metrics` gives them. None measures none.
+        faces: Metrics of faces; None measures none.
         threads: Workers; as many as there are processors by default, at most 8.
         progress: Called with (done, total) after every frame.
 
@@ -72,22 +77,39 @@ def score(
     gathering = Gathering(protocol)
 
     def work(pair: FramePair) -> Scored:
-        return score_pair(pair, protocol, perceptual)
+        return score_pair(pair, protocol, perceptual, faces)
 
     for done, scored in enumerate(in_order(work, pairs, threads or min(8, os.cpu_count() or 1)), start=1):
         gathering.add(scored)
         if progress:
             progress(done, len(pairs))
-    learned = [name for name in protocol.metrics if name.startswith("lpips")]
-    missing = perceptual.missing if perceptual else dict.fromkeys(learned, "learned metrics were switched off")
-    return gathering.evaluation(labels, missing, perceptual.hashes if perceptual else {})
+    hashes = {name: value for part in (perceptual, faces) if part for name, value in part.hashes.items()}
+    return gathering.evaluation(labels, unavailable(protocol, perceptual, faces), hashes)
+
+
+def unavailable(protocol: Protocol, perceptual: Perceptual | None, faces: FaceMetrics | None) -> dict[str, str]:
+    """The protocol's metrics that need a network and have none, with the reason."""
+    missing = dict.fromkeys(learned_names(protocol), OFF) if perceptual is None else dict(perceptual.missing)
+    of_faces = [name for name in protocol.metrics if name in FACES]
+    return missing | (dict.fromkeys(of_faces, OFF) if faces is None else faces.missing)
+
+
+def learned_names(protocol: Protocol) -> list[str]:
+    """The protocol's metrics that need torch."""
+    return [name for name in protocol.metrics if name.startswith("lpips")]
+
+
+def face_metrics(protocol: Protocol, folders: Sequence[Path]) -> FaceMetrics | None:
+    """The protocol's metrics of faces with networks from model folders; None if it has none."""
+    names = [name for name in protocol.metrics if name in FACES]
+    return FaceMetrics(names, folders) if names else None
 
 
 def learned_metrics(protocol: Protocol, folders: Sequence[Path]) -> Perceptual | None:
     """The protocol's learned metrics with weights from model folders; torch is imported only if there are weights."""
     from evaluate.weights import find_lpips
 
-    names = [name for name in protocol.metrics if name.startswith("lpips")]
+    names = learned_names(protocol)
     reasons = {name: find_lpips(name.removeprefix("lpips_").removesuffix("_unit_range"), folders) for name in names}
     if all(isinstance(reason, str) for reason in reasons.values()):
         return NothingLearned({name: str(reason) for name, reason in reasons.items()})
@@ -108,7 +130,9 @@ class NothingLearned:
         return {}
 
 
-def score_pair(pair: FramePair, protocol: Protocol, perceptual: Perceptual | None = None) -> Scored:
+def score_pair(
+    pair: FramePair, protocol: Protocol, perceptual: Perceptual | None = None, faces: FaceMetrics | None = None
+) -> Scored:
     """Read and measure one frame; `InputError` names a file that cannot be used."""
     prediction = read_scored(pair.prediction, protocol.background_rgb)
     truth = read_scored(pair.truth, protocol.background_rgb)
@@ -124,9 +148,13 @@ def score_pair(pair: FramePair, protocol: Protocol, perceptual: Perceptual | Non
         values |= {name: values.pop(f"{name}@{protocol.region}") for name in INSIDE}
     if perceptual:
         values |= perceptual.measure(*images)
+    error = None
+    if faces:
+        of_faces, error = faces.measure(*images)
+        values |= of_faces
     notes = tuple(dict.fromkeys(prediction.notes + truth.notes))
     foreground = (weights["foreground"] >= 0.5).astype(np.uint8) if "foreground" in weights else None
-    return Scored(pair.frame, values, images, foreground, hashes, notes)
+    return Scored(pair.frame, values, images, foreground, hashes, notes, error)
 
 
 def _inside(

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 VARIABLE = "GGAVATAR_MODELS"
+NO_WEIGHTS = "no weights"
+"""How the reason of a metric without weights begins."""
 
 BACKBONES = {
     "alex": ("alexnet_features.pth", "alexnet-owt-7be5be79.pth", "alexnet-owt-4df8aa71.pth", "alexnet.pth"),
@@ -39,15 +41,18 @@ def model_folders(given: Path | None = None) -> list[Path]:
 
 def find_lpips(net: str, folders: Sequence[Path]) -> LpipsFiles | str:
     """Backbone and linear head of an LPIPS network (`alex`, `vgg`, `squeeze`), or the reason why there is none."""
-    backbone = _first(folders, BACKBONES[net])
-    head = _first(folders, tuple(name.format(net=net) for name in HEADS))
+    backbone = first_file(folders, BACKBONES[net])
+    head = first_file(folders, tuple(name.format(net=net) for name in HEADS))
     wanted = [BACKBONES[net][0] if not backbone else "", HEADS[0].format(net=net) if not head else ""]
     if backbone and head:
         return LpipsFiles(backbone, head)
-    return f"no weights: {' and '.join(filter(None, wanted))} not found; put the file into ${VARIABLE} or name --models"
+    return (
+        f"{NO_WEIGHTS}: {' and '.join(filter(None, wanted))} not found; put the file into ${VARIABLE} or name --models"
+    )
 
 
-def _first(folders: Sequence[Path], names: Sequence[str]) -> Path | None:
+def first_file(folders: Sequence[Path], names: Sequence[str]) -> Path | None:
+    """The first file of one of the names in the first folder that has one."""
     candidates = (folder / name for folder in folders for name in names)
     return next((path for path in candidates if path.is_file()), None)
 

@@ -92,6 +92,16 @@ def test_the_papers_rows_stand_beside_ours_without_being_ranked_against_them() -
     assert len(table.rows) == 6
 
 
+def test_an_ablation_stands_beside_the_papers_table_2() -> None:
+    runs = [evaluation("Anna", "ggavatar"), evaluation("Anna", "ggavatar_without_lbs", (20.0, 21.0))]
+    (table, *_) = build_tables(runs, "ablation", paper=True)
+    assert [row.label for row in table.rows][:2] == ["w/o LBS", "GGAvatar"]
+    assert [row.section for row in table.rows] == ["Anna"] * 2 + ["ID 1, paper (protocol not stated)"] * 5
+    assert table.rows[1].cells[0].mark == BEST
+    assert [cell.text + cell.mark for cell in table.rows[-1].cells] == ["33.61best", "0.956best", "0.060best"]
+    assert table.rows[-1].label == "GGAvatar"
+
+
 def environments_close(source: str) -> bool:
     stack = []
     for kind, name in re.findall(r"\\(begin|end)\{([^}]*)\}", source):

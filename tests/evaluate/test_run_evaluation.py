@@ -20,7 +20,7 @@ from ggavatar.errors import InputError
 from ggavatar.pictures import read_grey, read_rgb, write_png
 from ggavatar.runs import Run
 
-OPTIONS = Options(no_lpips=True, quiet=True, device="cpu")
+OPTIONS = Options(no_learned=True, quiet=True, device="cpu")
 
 
 @pytest.fixture
