@@ -166,7 +166,7 @@ def _take_row(x, y, row, padded, inputs, weights):
         _blur_across(padded[k], inputs[k, slot], weights)
 
 
-Lines = Float32[ndarray, "H K"]
+Lines = Float32[ndarray, "_ _"]
 """An image as rows of W·3 floats."""
 
 

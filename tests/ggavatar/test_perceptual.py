@@ -1,0 +1,137 @@
+"""The perceptual loss against a network built from torch.nn, its variants, and where crops fall."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from ggavatar.errors import InputError
+from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss, random_weights
+from ggavatar.weights import VGG16_TO_RELU2_2, load_weights, locate
+
+
+@pytest.fixture(autouse=True)
+def no_other_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Only what a test asks for is found."""
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
+
+
+@pytest.fixture
+def without_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+
+
+def pictures(side: int = 40) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    return torch.rand(side, side, 3, generator=generator), torch.rand(side, side, 3, generator=generator)
+
+
+def network(state: dict[str, Tensor]) -> list[nn.Sequential]:
+    """VGG16's blocks as torchvision orders them, cut after relu1_2, relu2_2, relu3_3 and relu4_3."""
+    layers: list[nn.Module] = []
+    inputs = 3
+    for width in (64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512):
+        if width:
+            layers += [nn.Conv2d(inputs, width, 3, padding=1), nn.ReLU()]
+            inputs = width
+        else:
+            layers.append(nn.MaxPool2d(2))
+    whole = nn.Sequential(*layers)
+    whole.load_state_dict({key.removeprefix("features."): value for key, value in state.items()})
+    return [whole[:4], whole[4:9], whole[9:16], whole[16:]]
+
+
+@pytest.mark.usefixtures("without_models")
+def test_equals_a_network_of_torch_layers() -> None:
+    image, target = pictures()
+    loss = perceptual_loss(seed=3)
+    mean, deviation = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    ours, theirs = (((x - mean) / deviation).permute(2, 0, 1)[None] for x in (image, target))
+    expected = torch.zeros(())
+    for block in network(random_weights(3)):
+        ours, theirs = block(ours), block(theirs)
+        expected = expected + (ours - theirs).abs().mean()
+    assert loss.name == "random-vgg"
+    assert loss(image, target).item() == pytest.approx(expected.item(), rel=1e-4)
+
+
+@pytest.mark.usefixtures("without_models")
+def test_gradient_reaches_the_image_only_and_kept_features_are_as_good() -> None:
+    image, target = pictures()
+    loss = perceptual_loss()
+    image.requires_grad_()
+    target.requires_grad_()
+    value = loss(image, target)
+    value.backward()
+    assert image.grad is not None and image.grad.abs().max() > 0 and target.grad is None
+    with torch.no_grad():
+        kept = loss.features(target)
+    assert loss(image, kept).item() == value.item()
+    assert loss(target.detach(), target).item() == 0
+
+
+@pytest.mark.usefixtures("without_models")
+def test_weights_are_seeded_and_in_no_checkpoint() -> None:
+    assert not perceptual_loss().state_dict() and not list(perceptual_loss().parameters())
+    one, other, third = (random_weights(seed)["features.0.weight"] for seed in (1, 1, 2))
+    assert torch.equal(one, other) and not torch.equal(one, third)
+
+
+@pytest.mark.usefixtures("without_models")
+def test_required_weights_are_asked_for() -> None:
+    with pytest.raises(InputError, match=r"vgg16-397923af\.pth.*\$GGAVATAR_MODELS"):
+        perceptual_loss(required=True)
+
+
+@pytest.mark.weights
+def test_first_two_blocks_are_named_as_such() -> None:
+    path = locate(VGG16_TO_RELU2_2)
+    if path is None:
+        pytest.skip("needs vgg16_features_to_relu2_2.pth in $GGAVATAR_MODELS")
+    loss = perceptual_loss(path.parent)
+    if loss.name == "vgg16-relu4_3":
+        pytest.skip("the whole of VGG16 is here, which is preferred")
+    assert loss.name == "vgg16-relu2_2" and len(loss.features(pictures()[0])) == 2
+    kernel = load_weights(path)["features.0.weight"]
+    assert kernel.shape == (64, 3, 3, 3)
+
+
+def test_random_weights_keep_the_scale_through_the_blocks() -> None:
+    maps = PerceptualLoss("random-vgg", random_weights(0)).features(pictures(64)[0])
+    sizes = [float(block.square().mean()) for block in maps]
+    assert all(0.1 < size / sizes[0] < 10 for size in sizes[1:])
+
+
+def test_crops_stay_inside_and_come_as_often_as_asked() -> None:
+    generator, sampler = torch.Generator().manual_seed(2), CropSampler(side=16, probability=0.25)
+    drawn = [sampler.draw(40, 60, generator) for _ in range(2000)]
+    windows = [window for window in drawn if window is not None]
+    assert 400 < len(windows) < 600
+    for rows, columns in windows:
+        assert rows.stop - rows.start == columns.stop - columns.start == 16
+        assert rows.start >= 0 and rows.stop <= 40 and columns.start >= 0 and columns.stop <= 60
+    assert {rows.start for rows, _ in windows} == set(range(25))
+    assert {columns.start for _, columns in windows} == set(range(45))
+
+
+def test_focused_crops_are_centred_on_boxes_and_small_images_are_taken_whole() -> None:
+    generator, always = torch.Generator().manual_seed(3), CropSampler(side=16, probability=1.0, focused=1.0)
+    starts = set()
+    for _ in range(50):
+        window = always.draw(100, 100, generator, boxes=[(40.0, 50.0, 60.0, 58.0), (0.0, 0.0, 4.0, 4.0)])
+        assert window is not None
+        starts.add((window[0].start, window[1].start))
+    assert starts == {(46, 42), (0, 0)}
+    assert always.draw(8, 12, generator) == (slice(0, 8), slice(0, 12))
+
+
+def test_the_same_numbers_are_drawn_whatever_comes_out() -> None:
+    states = []
+    for probability in (0.0, 1.0):
+        generator = torch.Generator().manual_seed(4)
+        CropSampler(probability=probability).draw(200, 200, generator)
+        states.append(generator.get_state())
+    assert torch.equal(*states)
