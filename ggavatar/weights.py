@@ -125,7 +125,7 @@ def load_weights(path: Path) -> dict[str, Tensor]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, EOFError, RuntimeError) as error:
-        first_line = str(error).splitlines()[0]
+        first_line = str(error).partition("\n")[0] or "an empty file"
         raise InputError(f"expected tensors by name in {path}, found else: {first_line}; get it again") from error
     if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
         raise InputError(f"expected tensors by name in {path}, found {type(state).__name__}; get it again")
