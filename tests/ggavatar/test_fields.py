@@ -1,4 +1,4 @@
-"""The hash tri-plane against its layout, interpolation, its twin and float64 autograd; Fourier features in closed form."""
+"""The hash tri-plane against its layout, interpolation, twin and float64 autograd; Fourier features in closed form."""
 
 from __future__ import annotations
 
