@@ -13,9 +13,19 @@ import numpy as np
 from ggavatar.compiled import inlined, kernel
 from ggavatar.render.binning import bare_bins
 from ggavatar.render.blending import MOST, TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light
-from ggavatar.render.cpu_forward import Canvas, bare_canvas
+from ggavatar.render.cpu_forward import bare_canvas
 from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
-from ggavatar.render.memory import lane_sums, load, load_block_1, load_block_3, lowest_bit, pointer, prefetch, store, take_ticket
+from ggavatar.render.memory import (
+    lane_sums,
+    load,
+    load_block_1,
+    load_block_3,
+    lowest_bit,
+    pointer,
+    prefetch,
+    store,
+    take_ticket,
+)
 from ggavatar.render.simd import fma, negate, select, splat
 
 SUMS = 16
@@ -68,7 +78,11 @@ def differentiate_tile(scratch, bins, records, view, canvas, incoming, target):
         hits = np.int64(canvas.hits[place])
         source = np.int64(bins.entries[2 * place]) * RECORD
         record = pointer(records, source)
-        store(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, entry_sums(scratch, record, hits, np.float32(left), np.float32(top)))
+        store(
+            slots,
+            np.int64(bins.entries[2 * place + 1]) * SUMS,
+            entry_sums(scratch, record, hits, np.float32(left), np.float32(top)),
+        )
     for place in range(end, stop):
         store(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, splat(np.float32(0)))
 
@@ -105,7 +119,18 @@ def entry_sums(scratch, record, hits, left, top):
     offset_x, offset_y = record[X] - left, record[Y] - top
     offset_u, offset_v = -(record[XX] * offset_x + record[XY] * offset_y), -(record[YY] * offset_y)
     zero = splat(np.float32(0))
-    reds, greens, blues, depths, weights, us, vs, uus, uvs, vvs = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
+    reds, greens, blues, depths, weights, us, vs, uus, uvs, vvs = (
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+    )
     while hits != 0:
         place = lowest_bit(hits) * PIXELS
         hits &= hits - 1

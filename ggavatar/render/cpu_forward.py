@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ggavatar.compiled import inlined, kernel
 from ggavatar.render.binning import bare_bins
-from ggavatar.render.blending import TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light, touched_blocks
+from ggavatar.render.blending import (
+    TILE,
+    TILES_PER_TICKET,
+    block_pixels,
+    coverage,
+    first_light,
+    pass_light,
+    touched_blocks,
+)
 from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
-from ggavatar.render.memory import column_bits, load, lowest_bit, pointer, prefetch, store, store_block_1, store_block_3, take_ticket
+from ggavatar.render.memory import (
+    column_bits,
+    load,
+    lowest_bit,
+    pointer,
+    prefetch,
+    store,
+    store_block_1,
+    store_block_3,
+    take_ticket,
+)
 from ggavatar.render.simd import absolute, bits_of, fma, splat
 
 BATCH = 64
@@ -28,13 +46,14 @@ ONE = np.uint16(1)
 class Canvas(NamedTuple):
     """What is drawn, height and width padded to whole tiles.
 
-    `image` [H, W, 3], `light` [H, W] the transmittance that is left, `depth` [H, W]; `hits` [M] the blocks each entry of the tile lists was drawn in;
+    `image` [H, W, 3], `light` [H, W] the transmittance that is left, `depth` [H, W], `alpha` [H, W]; `hits` [M] the blocks each entry of the tile lists was drawn in;
     `ends` [tiles] where drawing stopped in the tile lists.
     """
 
     image: np.ndarray
     light: np.ndarray
     depth: np.ndarray
+    alpha: np.ndarray
     hits: np.ndarray
     ends: np.ndarray
 
@@ -57,7 +76,8 @@ def draw_tiles(tickets, scratches, masks, bins, records, view, canvas):
 def bare_canvas(canvas):
     """The canvas with pointers instead of arrays."""
     image, light, depth = pointer(canvas.image, 0), pointer(canvas.light, 0), pointer(canvas.depth, 0)
-    return Canvas(image, light, depth, pointer(canvas.hits, 0), pointer(canvas.ends, 0))
+    alpha = pointer(canvas.alpha, 0)
+    return Canvas(image, light, depth, alpha, pointer(canvas.hits, 0), pointer(canvas.ends, 0))
 
 
 @inlined
@@ -69,7 +89,7 @@ def draw_tile(work, bins, records, view, canvas, tile):
     alive = clear_tile(scratch, view[23] - np.float32(left), view[24] - np.float32(top))
     place, end = np.int64(bins.starts[tile]), np.int64(bins.starts[tile + 1])
     while place < end and alive != 0:
-        size = min(BATCH, end - place)
+        size: Any = min(BATCH, end - place)
         gather_batch(work, pointer(bins.entries, 2 * place), size, records, (np.float32(left), np.float32(top)), alive)
         for block in range(16):
             if (alive >> block) & 1:
@@ -161,4 +181,5 @@ def write_tile(scratch, view, canvas, left, top):
         blue = fma(light, view[29], load(scratch, place + 48))
         store_block_3(canvas.image, pixel * 3, stride * 3, (red, green, blue))
         store_block_1(canvas.light, pixel, stride, (light,))
+        store_block_1(canvas.alpha, pixel, stride, (np.float32(1) - light,))
         store_block_1(canvas.depth, pixel, stride, (load(scratch, place + 64),))

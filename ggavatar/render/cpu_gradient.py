@@ -47,7 +47,7 @@ from ggavatar.render.cpu_shapes import (
     unit_quaternion,
 )
 from ggavatar.render.memory import gather_rows, load, load_rows, pointer, store, store_columns, take_ticket, transpose
-from ggavatar.render.simd import fma, lane_index_below, maximum, minimum, negate, select, splat, total
+from ggavatar.render.simd import fma, lane_index_below, negate, select, splat, total
 
 POSE = SCRATCH
 """Where in the scratch the pose gradient is summed: rotation row by row, translation, camera centre."""
@@ -74,7 +74,7 @@ def differentiate_chunks(tickets, scratches, cloud, view, footprints, bins, slot
     """Differentiate chunks of Gaussians until none is left."""
     scratch = pointer(scratches, take_ticket(tickets, 1) * GRADIENT_SCRATCH)
     cloud, view, footprints, bins = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints), bare_bins(bins)
-    slots, gradients, count = pointer(slots, 0), bare_gradients(gradients), cloud.count
+    slots, gradients, count = pointer(slots, 0), bare_gradients(gradients), cloud.rows
     chunks = (count + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
@@ -83,7 +83,9 @@ def differentiate_chunks(tickets, scratches, cloud, view, footprints, bins, slot
         for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, count), 16):
             prefetch_colors(cloud.colors, cloud.coefficients, first + 2 * 16, count - 1)
             prefetch_colors(gradients.colors, cloud.coefficients, first + 2 * 16, count - 1)
-            differentiate_group(scratch, cloud, view, footprints, gather_sums(scratch, bins, slots, first, count - 1), gradients, first)
+            differentiate_group(
+                scratch, cloud, view, footprints, gather_sums(scratch, bins, slots, first, count - 1), gradients, first
+            )
         for number in range(POSE_SUMS):
             gradients.poses[chunk * POSE_SUMS + number] = total(load(scratch, POSE + number * 16))
         chunk = take_ticket(tickets, 0)
@@ -93,7 +95,11 @@ def differentiate_chunks(tickets, scratches, cloud, view, footprints, bins, slot
 def bare_gradients(gradients):
     """The gradients with pointers instead of arrays."""
     means, quats, scales = pointer(gradients.means, 0), pointer(gradients.quats, 0), pointer(gradients.scales, 0)
-    opacities, colors, means2d = pointer(gradients.opacities, 0), pointer(gradients.colors, 0), pointer(gradients.means2d, 0)
+    opacities, colors, means2d = (
+        pointer(gradients.opacities, 0),
+        pointer(gradients.colors, 0),
+        pointer(gradients.means2d, 0),
+    )
     return Gradients(means, quats, scales, opacities, colors, means2d, pointer(gradients.poses, 0))
 
 
@@ -113,7 +119,7 @@ def gather_sums(scratch, bins, slots, first, last):
 @inlined
 def differentiate_group(scratch, cloud, view, footprints, sums, gradients, first):
     """Write all gradients of sixteen Gaussians; those that are not visible get zero."""
-    last = cloud.count - 1
+    last = cloud.rows - 1
     zero = np.float32(0)
     seen = (load(footprints.radii, first) > zero) & lane_index_below(last - first + 1)
     records = transpose(load_rows(footprints.records, first, first + 15, RECORD, 0))
@@ -121,7 +127,9 @@ def differentiate_group(scratch, cloud, view, footprints, sums, gradients, first
     shape = covariance_gradient(records, sums)
     colors = passed_colors(cloud, records, sums, seen)
     means = columns_3(cloud.means, first, last)
-    point_gradient = differentiate_shape(scratch, cloud, view, (first, last), (mean2d, shape, sums[SUM_DEPTH], seen), means, gradients)
+    point_gradient = differentiate_shape(
+        scratch, cloud, view, (first, last), (mean2d, shape, sums[SUM_DEPTH], seen), means, gradients
+    )
     center_gradient = differentiate_colors(scratch, cloud, view, gradients.colors, colors, means, (first, last))
     add(scratch, 12, center_gradient)
     mean = dot_columns(view, point_gradient)
@@ -250,8 +258,12 @@ def quaternion_gradient(unit, inverse_length, axes, d_own_0, d_own_1):
 def point_gradient(view, point, ratios, d_axes, mean2d, depth):
     """Gradient of camera-space positions through the pixel position, the Jacobian and the depth."""
     inverse, ratio_x, ratio_y = ratios
-    d_x, inverse_x = one_axis(view[12], (view[16], view[17]), row(view, 0), row(view, 6), (point[0], inverse, ratio_x), (d_axes[0], mean2d[0]))
-    d_y, inverse_y = one_axis(view[13], (view[18], view[19]), row(view, 3), row(view, 6), (point[1], inverse, ratio_y), (d_axes[1], mean2d[1]))
+    d_x, inverse_x = one_axis(
+        view[12], (view[16], view[17]), row(view, 0), row(view, 6), (point[0], inverse, ratio_x), (d_axes[0], mean2d[0])
+    )
+    d_y, inverse_y = one_axis(
+        view[13], (view[18], view[19]), row(view, 3), row(view, 6), (point[1], inverse, ratio_y), (d_axes[1], mean2d[1])
+    )
     return d_x, d_y, fma(negate(inverse * inverse), inverse_x + inverse_y, depth)
 
 
@@ -311,5 +323,9 @@ def differentiate_colors(scratch, cloud, view, target, colors, means, rows):
     along = dot(unit, d_unit)
     fill_basis(scratch, unit, cloud.degree)
     store_color_gradient(scratch, cloud, target, colors, first, last)
-    x, y, z = fma(negate(along), unit[0], d_unit[0]), fma(negate(along), unit[1], d_unit[1]), fma(negate(along), unit[2], d_unit[2])
+    x, y, z = (
+        fma(negate(along), unit[0], d_unit[0]),
+        fma(negate(along), unit[1], d_unit[1]),
+        fma(negate(along), unit[2], d_unit[2]),
+    )
     return negate(x * inverse), negate(y * inverse), negate(z * inverse)

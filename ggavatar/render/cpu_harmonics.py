@@ -147,8 +147,14 @@ def direction_gradient(scratch, unit, degree, color_gradients):
         dz = basis_gradient(scratch, 2, color_gradients) * C1
         dx = basis_gradient(scratch, 3, color_gradients) * negate(C1)
     if degree >= 2:
-        g4, g5 = basis_gradient(scratch, 4, color_gradients) * C20, basis_gradient(scratch, 5, color_gradients) * negate(C20)
-        g6, g7 = basis_gradient(scratch, 6, color_gradients) * C21, basis_gradient(scratch, 7, color_gradients) * negate(C20)
+        g4, g5 = (
+            basis_gradient(scratch, 4, color_gradients) * C20,
+            basis_gradient(scratch, 5, color_gradients) * negate(C20),
+        )
+        g6, g7 = (
+            basis_gradient(scratch, 6, color_gradients) * C21,
+            basis_gradient(scratch, 7, color_gradients) * negate(C20),
+        )
         g8 = basis_gradient(scratch, 8, color_gradients) * C22
         dx = dx + g4 * y + g7 * z + TWO * x * (g8 - g6)
         dy = dy + g4 * x + g5 * z - TWO * y * (g8 + g6)
@@ -164,9 +170,18 @@ def _cubic_gradient(scratch, unit, color_gradients):
     """The part of `direction_gradient` that comes from the seven cubic terms."""
     x, y, z = unit
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    g9, g10 = basis_gradient(scratch, 9, color_gradients) * negate(C30), basis_gradient(scratch, 10, color_gradients) * C31
-    g11, g12 = basis_gradient(scratch, 11, color_gradients) * negate(C32), basis_gradient(scratch, 12, color_gradients) * C33
-    g13, g14 = basis_gradient(scratch, 13, color_gradients) * negate(C32), basis_gradient(scratch, 14, color_gradients) * C34
+    g9, g10 = (
+        basis_gradient(scratch, 9, color_gradients) * negate(C30),
+        basis_gradient(scratch, 10, color_gradients) * C31,
+    )
+    g11, g12 = (
+        basis_gradient(scratch, 11, color_gradients) * negate(C32),
+        basis_gradient(scratch, 12, color_gradients) * C33,
+    )
+    g13, g14 = (
+        basis_gradient(scratch, 13, color_gradients) * negate(C32),
+        basis_gradient(scratch, 14, color_gradients) * C34,
+    )
     g15 = basis_gradient(scratch, 15, color_gradients) * negate(C30)
     dx = g9 * (SIX * xy) + g10 * yz - g11 * (TWO * xy) - g12 * (SIX * xz)
     dx = dx + g13 * (FOUR * zz - THREE * xx - yy) + g14 * (TWO * xz) + g15 * (THREE * (xx - yy))

@@ -23,7 +23,16 @@ from ggavatar.render.cpu_shapes import (
     turned,
     unit_quaternion,
 )
-from ggavatar.render.memory import gather_rows, pointer, store, store_boxes, store_columns, store_rows, take_ticket, transpose
+from ggavatar.render.memory import (
+    gather_rows,
+    pointer,
+    store,
+    store_boxes,
+    store_columns,
+    store_rows,
+    take_ticket,
+    transpose,
+)
 from ggavatar.render.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
 
 # A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px, log2 of the
@@ -63,7 +72,7 @@ def project_chunks(tickets, scratches, cloud, view, footprints):
     """Project chunks of Gaussians until none is left."""
     scratch = pointer(scratches, take_ticket(tickets, 1) * SCRATCH)
     cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
-    chunks = (cloud.count + CHUNK - 1) // CHUNK
+    chunks = (cloud.rows + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
         project_chunk(scratch, cloud, view, footprints, chunk)
@@ -73,14 +82,18 @@ def project_chunks(tickets, scratches, cloud, view, footprints):
 @inlined
 def bare_footprints(footprints):
     """The footprints with pointers instead of arrays."""
-    records, means2d, radii = pointer(footprints.records, 0), pointer(footprints.means2d, 0), pointer(footprints.radii, 0)
+    records, means2d, radii = (
+        pointer(footprints.records, 0),
+        pointer(footprints.means2d, 0),
+        pointer(footprints.radii, 0),
+    )
     return Footprints(records, means2d, radii, pointer(footprints.boxes, 0), pointer(footprints.faults, 0))
 
 
 @inlined
 def project_chunk(scratch, cloud, view, footprints, chunk):
     """Project one chunk and note which inputs were not finite."""
-    last = cloud.count - 1
+    last = cloud.rows - 1
     zero = splat(np.float32(0))
     faults = (zero, zero, zero, zero, zero)
     for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
@@ -97,7 +110,7 @@ def project_chunk(scratch, cloud, view, footprints, chunk):
 @inlined
 def project_group(scratch, cloud, view, footprints, first, faults):
     """Project sixteen Gaussians; returns `faults` with NaN added where an input is not finite."""
-    last = cloud.count - 1
+    last = cloud.rows - 1
     zero = np.float32(0)
     means, scales = columns_3(cloud.means, first, last), columns_3(cloud.scales, first, last)
     quats, opacities = columns_4(cloud.quats, first, last), gather_rows(cloud.opacities, first, last, 1, 0)

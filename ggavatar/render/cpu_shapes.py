@@ -15,13 +15,24 @@ from ggavatar.render.memory import gather_rows, load_columns_3, load_columns_4, 
 from ggavatar.render.simd import absolute, fma, maximum, minimum, negate, sqrt
 
 # Places in the float32 array that describes a view.
-ROTATION, TRANSLATION, FOCAL, PRINCIPAL, LIMITS, CENTER, SIZE, TILES, BACKGROUND, VIEW_LENGTH = 0, 9, 12, 14, 16, 20, 23, 25, 27, 30
+ROTATION, TRANSLATION, FOCAL, PRINCIPAL, LIMITS, CENTER, SIZE, TILES, BACKGROUND, VIEW_LENGTH = (
+    0,
+    9,
+    12,
+    14,
+    16,
+    20,
+    23,
+    25,
+    27,
+    30,
+)
 
 
 class Cloud(NamedTuple):
     """The Gaussians as flat float32 arrays or pointers to them.
 
-    `count` is the number of Gaussians; `coefficients` is the number of harmonics held per channel, 0 for RGB; `degree` the highest one to evaluate.
+    `rows` is the number of Gaussians; `coefficients` is the number of harmonics held per channel, 0 for RGB; `degree` the highest one to evaluate.
     """
 
     means: np.ndarray
@@ -29,7 +40,7 @@ class Cloud(NamedTuple):
     scales: np.ndarray
     opacities: np.ndarray
     colors: np.ndarray
-    count: int
+    rows: int
     coefficients: int
     degree: int
 
@@ -39,7 +50,7 @@ def bare_cloud(cloud):
     """The cloud with pointers instead of arrays."""
     means, quats, scales = pointer(cloud.means, 0), pointer(cloud.quats, 0), pointer(cloud.scales, 0)
     opacities, colors = pointer(cloud.opacities, 0), pointer(cloud.colors, 0)
-    return Cloud(means, quats, scales, opacities, colors, cloud.count, cloud.coefficients, cloud.degree)
+    return Cloud(means, quats, scales, opacities, colors, cloud.rows, cloud.coefficients, cloud.degree)
 
 
 @inlined
@@ -47,7 +58,11 @@ def columns_3(array, first, last):
     """Three columns of sixteen rows; rows beyond `last` repeat it."""
     if first + 15 <= last:
         return load_columns_3(array, first * 3)
-    return gather_rows(array, first, last, 3, 0), gather_rows(array, first, last, 3, 1), gather_rows(array, first, last, 3, 2)
+    return (
+        gather_rows(array, first, last, 3, 0),
+        gather_rows(array, first, last, 3, 1),
+        gather_rows(array, first, last, 3, 2),
+    )
 
 
 @inlined
@@ -67,7 +82,7 @@ def dot(a, b):
 
 @inlined
 def combine(x, a, y, b):
-    """x · a + y · b for triples a, b."""
+    """X · a + y · b for triples a, b."""
     return fma(x, a[0], y * b[0]), fma(x, a[1], y * b[1]), fma(x, a[2], y * b[2])
 
 

@@ -141,5 +141,5 @@ def blend_weights(alphas: Float[Tensor, "P N"]) -> tuple[Float[Tensor, "P N"], F
     going = torch.cumprod(1 - alphas.detach(), dim=1) >= MIN_TRANSMITTANCE
     alphas = torch.where(going, alphas, 0)
     after = torch.cumprod(1 - alphas, dim=1)
-    before = torch.cat((torch.ones_like(after[:, :1]), after), dim=1)
+    before = torch.cat((alphas.new_ones(len(alphas), 1), after), dim=1)
     return alphas * before[:, :-1], before[:, -1]

@@ -80,7 +80,9 @@ def _binary(function: Any, result: types.Type, build: Callable[[ir.IRBuilder, ir
     for pair in pairs:
 
         def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-            left, right = (_as_vector(context, builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
+            left, right = (
+                _as_vector(context, builder, value, kind) for value, kind in zip(args, sig.args, strict=True)
+            )
             return build(builder, left, right)
 
         lower_builtin(function, *pair)(lower)
@@ -117,7 +119,9 @@ def _elementwise(count: int, build: Callable[..., ir.Value]) -> Any:
     """An intrinsic of `count` vectors or numbers that gives a vector."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        return build(builder, *(_as_vector(context, builder, value, kind) for value, kind in zip(args, sig.args, strict=True)))
+        return build(
+            builder, *(_as_vector(context, builder, value, kind) for value, kind in zip(args, sig.args, strict=True))
+        )
 
     if count == 1:
         return intrinsic(lambda typingctx, a: (lanes(a), lower))
@@ -181,7 +185,9 @@ def select(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
     """Lane by lane `yes` where the condition holds, else `no`."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        yes, no = (_as_vector(context, builder, value, kind) for value, kind in zip(args[1:], sig.args[1:], strict=True))
+        yes, no = (
+            _as_vector(context, builder, value, kind) for value, kind in zip(args[1:], sig.args[1:], strict=True)
+        )
         return builder.select(args[0], yes, no)
 
     return lanes(condition, yes, no), lower
@@ -237,6 +243,8 @@ def lane_index_below(typingctx: Any, count: Any) -> Any:
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         number = builder.sitofp(args[0], _F32)
-        return builder.fcmp_ordered("<", ir.Constant(_VECTOR, [float(lane) for lane in range(LANES)]), _splat(builder, number))
+        return builder.fcmp_ordered(
+            "<", ir.Constant(_VECTOR, [float(lane) for lane in range(LANES)]), _splat(builder, number)
+        )
 
     return flags(types.int64), lower

@@ -1,0 +1,132 @@
+"""The stages of the compiled rasteriser: allocate, and let the threads run a kernel.
+
+Memory is filled through numpy and by our own threads: torch's parallel loops would hang in a forked child.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ggavatar.compiled import share, workers
+from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
+from ggavatar.render.blending import TILE, TILES_PER_TICKET
+from ggavatar.render.constants import CLAMP_MARGIN
+from ggavatar.render.cpu_backward import BACKWARD_SCRATCH, SUMS, Incoming, differentiate_tiles
+from ggavatar.render.cpu_forward import BATCH, FORWARD_SCRATCH, Canvas, draw_tiles
+from ggavatar.render.cpu_gradient import GRADIENT_SCRATCH, POSE_SUMS, Gradients, differentiate_chunks
+from ggavatar.render.cpu_harmonics import SCRATCH
+from ggavatar.render.cpu_projection import CHECKED, CHUNK, RECORD, Footprints, project_chunks
+from ggavatar.render.cpu_shapes import Cloud
+
+
+class Lens(NamedTuple):
+    """What of a view is constant for autograd; `degree` of the harmonics is −1 for RGB."""
+
+    intrinsics: np.ndarray
+    width: int
+    height: int
+    degree: int
+
+
+def flat(tensor: Tensor) -> np.ndarray:
+    """The memory of a contiguous tensor as a flat array."""
+    return tensor.detach().view(-1).numpy()
+
+
+def padded(count: int, *columns: int) -> Tensor:
+    """An uninitialised tensor of `count` rows in memory for a multiple of sixteen."""
+    return torch.empty(-(-count // 16) * 16, *columns)[:count]
+
+
+def _memory(tensor: Tensor) -> np.ndarray:
+    """All the memory behind a tensor made by `padded`, as a flat array."""
+    return flat(tensor if tensor._base is None else tensor._base)
+
+
+def _floats(size: int) -> np.ndarray:
+    """Uninitialised floats; torch aligns them to cache lines, numpy would not."""
+    return torch.empty(size).numpy()
+
+
+def cropped(tensor: Tensor, lens: Lens) -> Tensor:
+    """The pixels of the image out of those of whole tiles."""
+    if tensor.shape[:2] == (lens.height, lens.width):
+        return tensor
+    return torch.from_numpy(np.ascontiguousarray(tensor.numpy()[: lens.height, : lens.width]))
+
+
+def whole_tiles(gradient: Tensor | None, like: Tensor) -> Tensor:
+    """The gradient in float32, padded with zeros to the size of `like`; zeros where there is none."""
+    if gradient is not None and gradient.shape == like.shape:
+        return gradient.to(torch.float32).contiguous()
+    whole = np.empty(like.shape, np.float32)
+    whole.fill(0)
+    if gradient is not None:
+        whole[: gradient.shape[0], : gradient.shape[1]] = gradient.numpy()
+    return torch.from_numpy(whole)
+
+
+def view_array(lens: Lens, pose: Tensor, background: Tensor) -> np.ndarray:
+    """A camera and a background as the flat array that kernels read; `cpu_shapes` names its places."""
+    k, transform = lens.intrinsics, pose.detach().double().numpy()
+    focal, principal, size = k[[0, 1], [0, 1]], k[:2, 2], np.array([lens.width, lens.height])
+    margin = CLAMP_MARGIN * 0.5 * size / focal
+    limits = np.stack((-principal / focal - margin, (size - principal) / focal + margin), axis=1)
+    rotation, translation = transform[:3, :3], transform[:3, 3]
+    tiles, backdrop = -(-size // TILE), background.detach().numpy()
+    parts = rotation, translation, focal, principal, limits, -rotation.T @ translation, size, tiles, backdrop
+    return np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
+
+
+def project_all(cloud: Cloud, view: np.ndarray, means2d: Tensor, radii: Tensor) -> Footprints:
+    """Project all Gaussians; fills `means2d` and `radii`."""
+    sizes, chunks = _memory(radii), -(-cloud.rows // CHUNK)
+    boxes, faults = np.empty(4 * sizes.size, np.int16), np.zeros(chunks * CHECKED, np.float32)
+    footprints = Footprints(_floats(RECORD * sizes.size), _memory(means2d), sizes, boxes, faults)
+    share(project_chunks, chunks, _floats(workers() * SCRATCH), cloud, view, footprints)
+    return footprints
+
+
+def bin_all(footprints: Footprints, view: np.ndarray) -> Bins:
+    """Sort the visible Gaussians into tiles."""
+    tiles_x, tiles = int(view[25]), int(view[25]) * int(view[26])
+    starts, slots = np.empty(tiles + 1, np.int64), np.empty(footprints.radii.size + 1, np.int64)
+    seen = count_tiles(footprints.boxes, tiles_x, starts, slots)
+    order = sort_by_depth(footprints.records, slots, np.empty(seen, np.int64), np.empty(seen, np.int64))
+    bins = Bins(starts, np.empty(2 * starts[-1], np.int32), slots)
+    fill_tiles(order, footprints.boxes, tiles_x, bins)
+    return bins
+
+
+def draw_all(
+    bins: Bins, records: np.ndarray, view: np.ndarray
+) -> tuple[tuple[Tensor, Tensor, Tensor, Tensor], np.ndarray, np.ndarray]:
+    """Draw all tiles: image, light, depth and alpha in whole tiles, and the canvas's hits and ends."""
+    width, height, tiles = int(view[25]) * TILE, int(view[26]) * TILE, bins.starts.size - 1
+    image, light, depth, alpha = (torch.empty(height, width, channels) for channels in (3, 1, 1, 1))
+    hits, ends = np.empty(bins.entries.size // 2, np.uint16), np.empty(tiles, np.int64)
+    canvas = Canvas(flat(image), flat(light), flat(depth), flat(alpha), hits, ends)
+    scratches, masks = _floats(workers() * FORWARD_SCRATCH), np.empty(workers() * BATCH, np.uint16)
+    share(draw_tiles, -(-tiles // TILES_PER_TICKET), scratches, masks, bins, records, view, canvas)
+    return (image, light, depth, alpha), hits, ends
+
+
+def differentiate_all(
+    cloud: Cloud, view: np.ndarray, footprints: Footprints, bins: Bins, canvas: Canvas, incoming: Incoming
+) -> tuple[tuple[Tensor, ...], np.ndarray]:
+    """Gradients of means, quats, scales, opacities, colours and image positions, and the sums for the pose."""
+    slots, pieces = _floats(SUMS * canvas.hits.size), -(-canvas.ends.size // TILES_PER_TICKET)
+    scratches = _floats(workers() * BACKWARD_SCRATCH)
+    share(differentiate_tiles, pieces, scratches, bins, footprints.records, view, canvas, incoming, slots)
+    count, chunks = cloud.rows, -(-cloud.rows // CHUNK)
+    means, quats, scales, opacities, means2d = (padded(count, *columns) for columns in ((3,), (4,), (3,), (), (2,)))
+    colors, poses = torch.empty(cloud.colors.size), np.zeros((chunks, POSE_SUMS), np.float32)
+    shape, paint = (_memory(means), _memory(quats), _memory(scales)), (_memory(opacities), flat(colors))
+    gradients = Gradients(*shape, *paint, _memory(means2d), poses.reshape(-1))
+    scratches = _floats(workers() * GRADIENT_SCRATCH)
+    share(differentiate_chunks, chunks, scratches, cloud, view, footprints, bins, slots, gradients)
+    return (means, quats, scales, opacities, colors, means2d), poses.astype(np.float64).sum(0)
