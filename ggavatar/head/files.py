@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
-from torch import Tensor
 
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
@@ -26,7 +25,11 @@ _REGION = "region/"
 def save_head(head: HeadModel, path: Path | str) -> None:
     """Write a head as `head.npz`; the file appears whole or not at all."""
     arrays: dict[str, ndarray] = {name: getattr(head, name).detach().cpu().numpy() for name in (*_REAL, "faces")}
-    arrays |= {"parents": np.asarray(head.parents, np.int64), "joint_names": np.asarray(head.joint_names), "version": np.asarray(head.version)}
+    arrays |= {
+        "parents": np.asarray(head.parents, np.int64),
+        "joint_names": np.asarray(head.joint_names),
+        "version": np.asarray(head.version),
+    }
     arrays |= {_REGION + name: rows.cpu().numpy() for name, rows in head.regions.items()}
     if head.uv is not None:
         arrays["uv"] = head.uv.detach().cpu().numpy()
@@ -42,18 +45,24 @@ def load_head(path: Path | str) -> HeadModel:
     """Read `head.npz` (float32, CPU), checked key by key.
 
     Raises:
-        InputError: The file is missing, not an npz, too large, or a key is missing, misshapen, out of range or not finite.
+        InputError: The file is missing, not an npz, too large, or a key is missing, misshapen, out of range or not
+            finite.
     """
     arrays = _read(Path(path))
     check = _Checks(Path(path), arrays)
     vertices = check.sizes()
+    faces = torch.from_numpy(check.faces(vertices))
     real = {name: torch.from_numpy(check.real(name, vertices)) for name in _REAL}
     joints = real["joint_regressor"].shape[0]
-    regions = {key.removeprefix(_REGION): torch.from_numpy(check.rows(key, vertices)) for key in arrays if key.startswith(_REGION)}
+    regions = {
+        key.removeprefix(_REGION): torch.from_numpy(check.rows(key, vertices))
+        for key in arrays
+        if key.startswith(_REGION)
+    }
     uv = torch.from_numpy(check.uv()) if "uv" in arrays else None
     return HeadModel(
         **real,
-        faces=torch.from_numpy(check.faces(vertices)),
+        faces=faces,
         parents=check.parents(joints),
         joint_names=check.names(joints),
         version=str(check.text("version", 0)),
@@ -65,18 +74,30 @@ def load_head(path: Path | str) -> HeadModel:
 def _read(path: Path) -> dict[str, ndarray]:
     """All arrays of the file, after a look at its declared sizes."""
     if not path.is_file():
-        raise InputError(f"expected a head model file (head.npz), found {'a folder' if path.is_dir() else 'nothing'} at {path}")
+        raise InputError(
+            f"expected a head model file (head.npz), found {'a folder' if path.is_dir() else 'nothing'} at {path}"
+        )
     try:
         with zipfile.ZipFile(path) as archive:
             total = sum(entry.file_size for entry in archive.infolist())
         if total > MAX_BYTES:
-            raise InputError(f"{path}: expected at most {MAX_BYTES >> 20} MiB of arrays, found {total >> 20} MiB declared; is this a head model?")
+            raise InputError(
+                f"{path}: expected at most {MAX_BYTES >> 20} MiB of arrays, found {total >> 20} MiB declared; "
+                "is this a head model?"
+            )
         with np.load(path, allow_pickle=False) as stored:
-            return {key: stored[key] for key in stored.files}
+            wanted = [key for key in stored.files if key in (*_REQUIRED, "uv") or key.startswith(_REGION)]
+            arrays = {key: stored[key] for key in wanted}
     except InputError:
         raise
     except (zipfile.BadZipFile, ValueError, EOFError, KeyError, OSError) as error:
-        raise InputError(f"{path}: expected an npz of plain arrays, found something else ({error}); write it with save_head") from error
+        raise InputError(
+            f"{path}: expected an npz of plain arrays, found something else ({error}); write it with save_head"
+        ) from error
+    foreign = [key for key, value in arrays.items() if not isinstance(value, ndarray)]
+    if foreign:
+        raise InputError(f"{path}: {foreign[0]}: expected an array, found other data; write the file with save_head")
+    return arrays
 
 
 class _Checks:
@@ -91,7 +112,10 @@ class _Checks:
     def _require(self, condition: bool, key: str, expected: str) -> None:
         if not condition:
             value = self._arrays[key]
-            raise InputError(f"{self._path}: {key}: expected {expected}, found {value.dtype} {list(value.shape)}; write the file with save_head")
+            raise InputError(
+                f"{self._path}: {key}: expected {expected}, found {value.dtype} {list(value.shape)}; "
+                "write the file with save_head"
+            )
 
     def sizes(self) -> int:
         """Number of vertices."""
@@ -125,7 +149,11 @@ class _Checks:
         """Indices in [0, count)."""
         value = self._arrays[key]
         self._require(value.dtype.kind in "iu", key, "integers")
-        self._require(value.size == 0 or (int(value.min()) >= 0 and int(value.max()) < count), key, f"indices from 0 to {count - 1}")
+        self._require(
+            value.size == 0 or (int(value.min()) >= 0 and int(value.max()) < count),
+            key,
+            f"indices from 0 to {count - 1}",
+        )
         if key.startswith(_REGION):
             self._require(value.ndim == 1, key, "shape [R]")
         return np.ascontiguousarray(value, np.int64)
@@ -139,7 +167,9 @@ class _Checks:
     def parents(self, joints: int) -> tuple[int, ...]:
         """Parents: −1 first, each before its children."""
         value = self._arrays["parents"]
-        self._require(value.dtype.kind in "iu" and value.shape == (joints,) and joints > 0, "parents", f"{joints} integers")
+        self._require(
+            value.dtype.kind in "iu" and value.shape == (joints,) and joints > 0, "parents", f"{joints} integers"
+        )
         parents = tuple(int(parent) for parent in value.astype(np.int64))
         ordered = parents[0] == -1 and all(0 <= parent < index for index, parent in enumerate(parents) if index)
         self._require(ordered, "parents", "−1 first and every parent before its children")
@@ -154,7 +184,9 @@ class _Checks:
     def text(self, key: str, dimensions: int) -> ndarray:
         """Unicode."""
         value = self._arrays[key]
-        self._require(value.dtype.kind == "U" and value.ndim == dimensions, key, f"unicode with {dimensions} dimensions")
+        self._require(
+            value.dtype.kind == "U" and value.ndim == dimensions, key, f"unicode with {dimensions} dimensions"
+        )
         return value
 
     def uv(self) -> Float[ndarray, "F 3 2"]:
@@ -167,7 +199,9 @@ class _Checks:
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(shape) == len(wanted) and all(want is None or want == size for size, want in zip(shape, wanted, strict=True))
+    return len(shape) == len(wanted) and all(
+        want is None or want == size for size, want in zip(shape, wanted, strict=True)
+    )
 
 
 def _shown(wanted: tuple[int | None, ...]) -> str:

@@ -1,6 +1,7 @@
 """A licence-free head in FLAME's parameter layout, made by a few seconds of arithmetic and no data file.
 
-It serves as the embedded subject's tracked head and as the generic head from which the tracker takes scalp, neck and shoulders.
+It serves as the embedded subject's tracked head and as the generic head from which the tracker takes scalp, neck and
+shoulders.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ def procedural_head(identity: Sequence[float] | Float[ndarray, " I"] | None = No
     """The procedural head with an identity folded in.
 
     Args:
-        identity: Up to `len(identity_names())` coefficients, about one standard deviation per unit; None is the generic head.
+        identity: Up to `len(identity_names())` coefficients, about one standard deviation per unit; None is the
+            generic head.
         seed: Of the points' placement; heads of one seed share their triangles.
 
     Raises:
@@ -54,13 +56,19 @@ def procedural_head(identity: Sequence[float] | Float[ndarray, " I"] | None = No
     coefficients = np.zeros(basis.shape[2])
     given = np.asarray([] if identity is None else identity, dtype=np.float64)
     if given.ndim != 1 or len(given) > len(coefficients) or not np.isfinite(given).all():
-        raise InputError(f"expected at most {len(coefficients)} finite identity coefficients, found {given.tolist()}; see identity_names()")
+        raise InputError(
+            f"expected at most {len(coefficients)} finite identity coefficients, found {given.tolist()}; "
+            "their names are in procedural_names()"
+        )
     coefficients[: len(given)] = given
     return _as_model(generic, generic.vertices + basis @ coefficients)
 
 
 def procedural_identity_basis(*, seed: int = 0) -> Float[Tensor, "V 3 I"]:
-    """Displacement per unit of every identity coefficient (names in `identity_names()`), m, for the vertices of `procedural_head`."""
+    """Displacement per unit of every identity coefficient (names in `identity_names()`).
+
+    M, for the vertices of `procedural_head`.
+    """
     return torch.tensor(_generic(seed)[1], dtype=torch.float32)
 
 
@@ -101,7 +109,9 @@ def _assemble(skin: Skin) -> _Assembly:
         faces.append(part.faces + count)
         count += len(part.vertices)
     groups["ears"] = np.concatenate((groups["left_ear"], groups["right_ear"]))
-    return _Assembly(np.concatenate(vertices), np.concatenate(faces), groups, (skin.left_lids, skin.right_lids), skin.lips)
+    return _Assembly(
+        np.concatenate(vertices), np.concatenate(faces), groups, (skin.left_lids, skin.right_lids), skin.lips
+    )
 
 
 def _glue(vertices: list, faces: list, count: int, loop: ndarray, rings: list[ndarray], *, inwards: bool) -> int:
@@ -133,7 +143,10 @@ def _separate_parts() -> list[tuple[str, Part]]:
 def _as_model(generic: _Assembly, template: ndarray) -> HeadModel:
     """Bases and weights are those of the generic head; they belong to vertices, not to places."""
     points, groups = generic.vertices, generic.groups
-    on_skin, on_tongue = (np.isin(np.arange(len(points)), rows) for rows in (np.concatenate((groups["skin"], groups["mouth_bag"])), groups["tongue"]))
+    on_skin, on_tongue = (
+        np.isin(np.arange(len(points)), rows)
+        for rows in (np.concatenate((groups["skin"], groups["mouth_bag"])), groups["tongue"])
+    )
 
     def real(values: ndarray) -> Tensor:
         return torch.tensor(values, dtype=torch.float32)
@@ -149,6 +162,9 @@ def _as_model(generic: _Assembly, template: ndarray) -> HeadModel:
         parents=PARENTS,
         joint_names=JOINT_NAMES,
         version=VERSION,
-        regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in named_regions(points, groups, generic.lids, generic.lips).items()},
+        regions={
+            name: torch.tensor(rows, dtype=torch.int64)
+            for name, rows in named_regions(points, groups, generic.lids, generic.lips).items()
+        },
         uv=real(unwrap(points, generic.faces, groups)),
     )

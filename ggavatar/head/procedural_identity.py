@@ -1,4 +1,7 @@
-"""Identity of the procedural head: smooth warps of space, one coefficient each, about one standard deviation per unit."""
+"""Identity of the procedural head.
+
+Smooth warps of space, one coefficient each, about one standard deviation per unit.
+"""
 
 from __future__ import annotations
 
@@ -58,14 +61,21 @@ WARPS = (
     Warp("nose_tip_up", (0.0, -0.015, 0.068), (0.014, 0.012, 0.02), move=(0.0, 0.0030, 0.0), soft_only=True),
     Warp("brow_ridge", (0.022, 0.041, 0.038), (0.026, 0.011, 0.03), move=(0.0, -0.0008, 0.0024), soft_only=True),
     Warp("eye_distance", (0.031, 0.024, 0.030), (0.020, 0.018, 0.05), move=(0.0016, 0.0, 0.0)),
-    Warp("eye_opening", (0.031, 0.0235, 0.038), (0.018, 0.010, 0.03), (0.0, 0.10, 0.0), soft_only=True),
+    Warp("eye_opening", (0.031, 0.0235, 0.038), (0.018, 0.010, 0.03), (0.0, 0.15, 0.0), soft_only=True),
     Warp("eye_slant", (0.045, 0.025, 0.032), (0.010, 0.012, 0.03), move=(0.0, 0.0016, 0.0), soft_only=True),
     Warp("mouth_width", (0.0, -0.047, 0.046), (0.040, 0.018, 0.04), (0.070, 0.0, 0.0), soft_only=True),
-    Warp("lip_fullness", (0.0, -0.0470, 0.052), (0.026, 0.013, 0.03), (0.0, 0.15, 0.0), move=(0.0, 0.0, 0.0013), soft_only=True),
+    Warp(
+        "lip_fullness",
+        (0.0, -0.0470, 0.052),
+        (0.026, 0.013, 0.03),
+        (0.0, 0.15, 0.0),
+        move=(0.0, 0.0, 0.0013),
+        soft_only=True,
+    ),
     Warp("forehead_slope", (0.0, 0.085, 0.045), (0.060, 0.030, 0.05), move=(0.0, 0.0, -0.0040), soft_only=True),
     Warp("neck_width", (0.0, -0.125, -0.050), (0.3, 0.040, 0.3), (0.08, 0.0, 0.07), soft_only=True),
     Warp("ears_out", (0.084, 0.008, -0.036), (0.012, 0.040, 0.030), move=(0.0045, 0.0, 0.0), soft_only=True),
-)  # fmt: skip
+)
 
 
 def identity_names() -> tuple[str, ...]:
@@ -75,7 +85,9 @@ def identity_names() -> tuple[str, ...]:
 
 def warp_points(points: Float[ndarray, "N 3"], coefficients: Float[ndarray, " I"]) -> Float[ndarray, "N 3"]:
     """Where an identity moves points near the generic head, m; for things worn on it."""
-    return points + sum(float(value) * warp.field(points) for warp, value in zip(WARPS, coefficients, strict=True) if value)
+    return points + sum(
+        float(value) * warp.field(points) for warp, value in zip(WARPS, coefficients, strict=True) if value
+    )
 
 
 def identity_basis(points: Float[ndarray, "V 3"], rigid: dict[str, ndarray], soft: ndarray) -> Float[ndarray, "V 3 I"]:

@@ -1,4 +1,7 @@
-"""What the skin does not cover: lid margins, the inside of the mouth, eyeballs, teeth, tongue and ears. Metres, FLAME's axes."""
+"""What the skin does not cover.
+
+Lid margins, the inside of the mouth, eyeballs, teeth, tongue and ears. Metres, FLAME's axes.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural_surface import EYE_CENTER, EYE_RADIUS
+from ggavatar.head.procedural_surface import EYE_RADIUS
 
 _EYE_AROUND, _EYE_RINGS = 28, 14
 _TOOTH_WIDTHS = (0.0085, 0.0066, 0.0076, 0.0070, 0.0068, 0.0098, 0.0095)
@@ -17,14 +20,20 @@ _LOWER_TOOTH_WIDTHS = (0.0054, 0.0059, 0.0068, 0.0070, 0.0071, 0.0108, 0.0102)
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of surface; `faces` count from the piece's own first vertex unless it is glued to loops of another one."""
+    """A piece of surface.
+
+    `faces` count from the piece's own first vertex unless it is glued to loops of another one.
+    """
 
     vertices: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
 
 
 def strip(first: Int[ndarray, " N"], second: Int[ndarray, " N"], *, closed: bool = True) -> Int[ndarray, "F 3"]:
-    """Triangles between two loops of equal length; they face the side from which `first` runs counter-clockwise around `second`."""
+    """Triangles between two loops of equal length.
+
+    They face the side from which `first` runs counter-clockwise around `second`.
+    """
     count = len(first) if closed else len(first) - 1
     index = np.arange(count)
     following = (index + 1) % len(first)
@@ -50,11 +59,19 @@ def lid_margin(loop: Float[ndarray, "N 3"], center: Float[ndarray, " 3"]) -> lis
 
 
 def mouth_bag(loop: Float[ndarray, "N 3"]) -> list[ndarray]:
-    """Loops from the lip margin into a pocket behind the teeth, from outside to inside; the last one is closed by a fan."""
+    """Loops from the lip margin into a pocket behind the teeth, from outside to inside.
+
+    The last one is closed by a fan.
+    """
     side = np.sin(np.arange(len(loop)) * 2 * np.pi / len(loop))
     middle = loop.mean(axis=0)
     loops = []
-    for back, tall, wide in ((0.0016, 0.0002, 1.0), (0.0042, 0.0022, 1.0), (0.0068, 0.0085, 1.04), (0.0105, 0.0150, 1.12)):
+    for back, tall, wide in (
+        (0.0016, 0.0002, 1.0),
+        (0.0042, 0.0022, 1.0),
+        (0.0068, 0.0085, 1.04),
+        (0.0105, 0.0150, 1.12),
+    ):
         ring = loop.copy()
         ring[:, 0] *= wide
         ring[:, 1] += tall * np.sign(side) * np.abs(side) ** 0.6
@@ -62,7 +79,9 @@ def mouth_bag(loop: Float[ndarray, "N 3"]) -> list[ndarray]:
         loops.append(ring)
     for depth, tall, wide in ((0.020, 0.0190, 0.030), (0.000, 0.0190, 0.028), (-0.014, 0.012, 0.016)):
         x = wide * loop[:, 0] / np.abs(loop[:, 0]).max()
-        loops.append(np.stack((x, middle[1] + tall * np.sign(side) * np.abs(side) ** 0.6, np.full(len(loop), depth)), axis=1))
+        loops.append(
+            np.stack((x, middle[1] + tall * np.sign(side) * np.abs(side) ** 0.6, np.full(len(loop), depth)), axis=1)
+        )
     return loops
 
 
@@ -95,7 +114,16 @@ def teeth(*, upper: bool) -> Part:
     edge_y = edge + sign * (0.0102 if upper else 0.0088) - sign * height
     back = np.interp(np.abs(tooth), [0, 2, 4, 6], [0.0040, 0.0050, 0.0080, 0.0095])
     rows = []
-    for rise, inwards in ((0.0145, 0.004), (0.0108, 0.0004), (0.0085, 0.0), (0.0045, -0.0005), (0.0010, 0.0), (0.0, 0.0012), (0.0, 1.0), (0.0145, 1.0)):
+    for rise, inwards in (
+        (0.0145, 0.004),
+        (0.0108, 0.0004),
+        (0.0085, 0.0),
+        (0.0045, -0.0005),
+        (0.0010, 0.0),
+        (0.0, 0.0012),
+        (0.0, 1.0),
+        (0.0145, 1.0),
+    ):
         shrink = 0.0009 * (1 - bulge) if inwards < 0.5 else 0.0
         depth = inwards * back if inwards > 0.5 else inwards + shrink
         y = edge_y + sign * (rise * height / (0.0102 if upper else 0.0088))
@@ -111,7 +139,11 @@ def _arch_samples(widths: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     right = np.concatenate([(edges[i] + edges[i + 1]) / 2 + inside * widths[i] / 2 for i in range(len(widths))])
     number = np.repeat(np.arange(len(widths)), len(inside)).astype(float)
     place = np.tile(inside, len(widths))
-    return np.concatenate((-right[::-1], right)), np.concatenate((-number[::-1], number)), np.concatenate((-place[::-1], place))
+    return (
+        np.concatenate((-right[::-1], right)),
+        np.concatenate((-number[::-1], number)),
+        np.concatenate((-place[::-1], place)),
+    )
 
 
 def _arch(samples: ndarray, front: float, half: float) -> tuple[ndarray, ndarray, ndarray]:
@@ -144,7 +176,9 @@ def tongue() -> Part:
     first, end = np.arange(around), np.arange(around) + (rows - 1) * around
     tip = np.stack((np.full(around, last), first, np.roll(first, -1)), axis=1)
     root = np.stack((np.full(around, last + 1), np.roll(end, -1), end), axis=1)
-    return Part(np.concatenate((body, ends)), np.concatenate((grid_faces(rows, around, closed=True)[:, ::-1], tip, root)))
+    return Part(
+        np.concatenate((body, ends)), np.concatenate((grid_faces(rows, around, closed=True)[:, ::-1], tip, root))
+    )
 
 
 @dataclass(frozen=True)
@@ -156,9 +190,19 @@ class EarRing:
 
 
 _EAR_RINGS = (
-    EarRing(0.14, -0.0010), EarRing(0.30, 0.0000), EarRing(0.44, 0.0040), EarRing(0.55, 0.0088), EarRing(0.66, 0.0092), EarRing(0.76, 0.0070),
-    EarRing(0.85, 0.0082), EarRing(0.94, 0.0110), EarRing(1.00, 0.0105), EarRing(1.00, 0.0080), EarRing(0.92, 0.0055), EarRing(0.80, -0.0040),
-)  # fmt: skip
+    EarRing(0.14, -0.0010),
+    EarRing(0.30, 0.0000),
+    EarRing(0.44, 0.0040),
+    EarRing(0.55, 0.0088),
+    EarRing(0.66, 0.0092),
+    EarRing(0.76, 0.0070),
+    EarRing(0.85, 0.0082),
+    EarRing(0.94, 0.0110),
+    EarRing(1.00, 0.0105),
+    EarRing(1.00, 0.0080),
+    EarRing(0.92, 0.0055),
+    EarRing(0.80, -0.0040),
+)
 _EAR_AROUND = 30
 
 
@@ -183,7 +227,7 @@ def left_ear() -> Part:
     turned = vertices.copy()
     turned[:, 1] = np.cos(tilt) * vertices[:, 1] - np.sin(tilt) * vertices[:, 2]
     turned[:, 2] = np.sin(tilt) * vertices[:, 1] + np.cos(tilt) * vertices[:, 2]
-    return Part(turned + (0.0695, 0.0050, -0.0260), faces)
+    return Part(turned + np.array([0.0695, 0.0050, -0.0260]), faces)
 
 
 def _ear_outline(angle: ndarray) -> ndarray:

@@ -12,7 +12,15 @@ from ggavatar.head.procedural_surface import EYE_CENTER, EYE_RADIUS, LID_THICKNE
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
 PARENTS = (-1, 0, 1, 1, 1)
 _EYE_X, _EYE_Y, _EYE_Z = EYE_CENTER
-JOINTS = np.array([(0, -0.150, -0.045), (0, -0.0775, -0.030), (0, -0.0200, -0.010), (_EYE_X, _EYE_Y, _EYE_Z), (-_EYE_X, _EYE_Y, _EYE_Z)])
+JOINTS = np.array(
+    [
+        (0, -0.150, -0.045),
+        (0, -0.0775, -0.030),
+        (0, -0.0200, -0.010),
+        (_EYE_X, _EYE_Y, _EYE_Z),
+        (-_EYE_X, _EYE_Y, _EYE_Z),
+    ]
+)
 _CLOSED_SHARE = 0.30
 
 
@@ -23,7 +31,10 @@ def _smooth(low: float, high: float, values: ndarray) -> ndarray:
 
 
 def jaw_share(points: Float[ndarray, "V 3"]) -> Float[ndarray, " V"]:
-    """How far skin follows the jaw: 1 on the lower lip and chin, 0 on the upper lip, fading over cheeks, throat and towards the ears."""
+    """How far skin follows the jaw.
+
+    1 on the lower lip and chin, 0 on the upper lip, fading over cheeks, throat and towards the ears.
+    """
     throat = _smooth(-0.125, -0.088, points[:, 1] + 0.35 * np.clip(points[:, 2] - 0.02, 0, 0.05))
     front = _smooth(-0.045, 0.015, points[:, 2])
     return lower_share(points) * throat * front
@@ -34,7 +45,8 @@ def skinning_weights(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarra
 
     Args:
         points: Generic vertices, m.
-        groups: Vertex sets `skin`, `mouth_bag`, `left_eyeball`, `right_eyeball`, `upper_teeth`, `lower_teeth`, `tongue` and `ears`.
+        groups: Vertex sets `skin`, `mouth_bag`, `left_eyeball`, `right_eyeball`, `upper_teeth`, `lower_teeth`,
+            `tongue` and `ears`.
     """
     weights = np.zeros((len(points), len(JOINTS)))
     jaw = jaw_share(points)
@@ -72,11 +84,13 @@ def joint_regressor(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray
     return regressor
 
 
-def eyelid_basis(points: Float[ndarray, "V 3"], skin: Int[ndarray, " R"], loops: tuple[ndarray, ndarray]) -> Float[ndarray, "V 3 2"]:
+def eyelid_basis(
+    points: Float[ndarray, "V 3"], skin: Int[ndarray, " R"], loops: tuple[ndarray, ndarray]
+) -> Float[ndarray, "V 3 2"]:
     """Displacement that closes the left and the right lid, m.
 
-    The margins of both lids move onto one closing line, 30 % of the way up from the lower lid, on a sphere just outside the eyeball; the skin
-    around follows with a falloff.
+    The margins of both lids move onto one closing line, 30 % of the way up from the lower lid, on a sphere just
+    outside the eyeball; the skin around follows with a falloff.
     """
     basis = np.zeros((len(points), 3, 2))
     for side, loop in enumerate(loops):

@@ -1,7 +1,9 @@
-"""The skin of the procedural head as triangles: edge loops around eyes and mouth, graded points elsewhere, one hull over all of them.
+"""The skin of the procedural head as triangles.
 
-Points live on the parameter sphere of `procedural_surface.cast`; the convex hull of points on a sphere is their Delaunay triangulation, without
-seams or poles. The left half is made, the right half is its mirror image.
+Edge loops around eyes and mouth, graded points elsewhere, one hull over all of them.
+
+Points live on the parameter sphere of `procedural_surface.cast`; the convex hull of points on a sphere is their
+Delaunay triangulation, without seams or poles. The left half is made, the right half is its mirror image.
 """
 
 from __future__ import annotations
@@ -67,27 +69,29 @@ def lid_curve(count: int = EYE_POINTS) -> Float[ndarray, "N 2"]:
 
 def build_skin(seed: int = 0) -> Skin:
     """Triangulate the sculpture of `procedural_surface`; deterministic for a seed."""
-    flat_eye, flat_lips = _offset_rings(lid_curve(), _EYE_RINGS, _eye_reach), _offset_rings(_slit(), _LIP_RINGS, _lip_reach)
-    loops_ = np.split(_at_front(np.concatenate((*flat_eye, *flat_lips))), np.cumsum([len(r) for r in (*flat_eye, *flat_lips)])[:-1])
-    eye, lips = loops_[: len(flat_eye)], loops_[len(flat_eye) :]
-    fixed = np.concatenate((*eye, *(ring[ring[:, 0] > 1e-6] for ring in lips)))
+    eye, lips, holes = _rings()
+    left = np.concatenate((*eye, *(ring[ring[:, 0] > 1e-6] for ring in lips)))
     middle = np.concatenate([ring[np.abs(ring[:, 0]) <= 1e-6] for ring in lips])
-    filled, filled_middle = _fill(np.concatenate((fixed, middle)), (flat_eye[-1], flat_lips[-1]), np.random.default_rng(seed))
-    half, center = np.concatenate((fixed, filled)), np.concatenate((middle, filled_middle))
-    directions = np.concatenate((half, half * (-1, 1, 1), center))
-    faces = _triangulate(directions)
-    vertices = cast(directions)
+    filled, filled_middle = _fill(np.concatenate((left, middle)), holes, np.random.default_rng(seed))
+    half = np.concatenate((left, filled))
+    directions = np.concatenate((half, half * (-1, 1, 1), middle, filled_middle))
     loops = _loops(directions, eye[0], lips[0])
-    vertices = _close_lips(vertices, loops[2])
     rim = np.flatnonzero(directions[:, 1] < -np.sin(LOWEST - 1e-6))
-    faces = faces[~np.isin(faces, rim).all(axis=1)]
-    for loop in loops:
-        faces = faces[~np.isin(faces, loop).all(axis=1)]
-    movable = np.ones(len(vertices), bool)
-    movable[: len(fixed)] = movable[len(half) : len(half) + len(fixed)] = False
-    movable[2 * len(half) : 2 * len(half) + len(middle)] = False
-    movable[rim] = False
+    faces = _triangulate(directions)
+    for hole in (rim, *loops):
+        faces = faces[~np.isin(faces, hole).all(axis=1)]
+    pinned = np.concatenate((left, left * (-1, 1, 1), middle, directions[rim]))
+    movable = np.asarray(cKDTree(pinned).query(directions)[0] > 1e-9)
+    vertices = _close_lips(cast(directions), loops[2])
     return Skin(_relax(vertices, faces, movable), faces, *loops, rim)
+
+
+def _rings() -> tuple[list[ndarray], list[ndarray], tuple[ndarray, ndarray]]:
+    """Directions of the loops around the left eye and the mouth, and the outermost of each seen from the front."""
+    eye, lips = _offset_rings(lid_curve(), _EYE_RINGS, _eye_reach), _offset_rings(_slit(), _LIP_RINGS, _lip_reach)
+    ends = np.cumsum([len(ring) for ring in (*eye, *lips)])[:-1]
+    rings = np.split(_at_front(np.concatenate((*eye, *lips))), ends)
+    return rings[: len(eye)], rings[len(eye) :], (eye[-1], lips[-1])
 
 
 def _slit() -> ndarray:
@@ -125,7 +129,10 @@ def _at_front(points: ndarray) -> ndarray:
 
 
 def spacing(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """Wanted distance between neighbouring vertices, m: fine at the nose, eyes and mouth, coarse on scalp and shoulders."""
+    """Wanted distance between neighbouring vertices, m.
+
+    Fine at the nose, eyes and mouth, coarse on scalp and shoulders.
+    """
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     size = np.interp(z, [-0.06, -0.01, 0.025], [0.0115, 0.0090, 0.0062])
     size = np.maximum(size, np.interp(y, [0.055, 0.10], [0.0, 0.0095]))
@@ -146,12 +153,14 @@ _FINE_REGIONS = (
 
 
 def _fill(fixed: ndarray, holes: tuple[ndarray, ...], generator: np.random.Generator) -> tuple[ndarray, ndarray]:
-    """Blue-noise directions on the left half and on the middle line that keep the wanted spacing from each other and from `fixed`."""
+    """Blue-noise directions on the left half and on the middle line, spaced as wanted and outside `holes`."""
     lookup = _coarse_lookup()
     ring = np.linspace(-np.pi, np.pi, 65)[32:64] + np.pi / 128
     middle = _middle_line(lookup)
     rim = _direction(np.full(32, -LOWEST), ring)
-    elevation = np.concatenate((np.arcsin(generator.uniform(-1, 1, 30000)), -generator.uniform(0.9, LOWEST - 0.004, 14000)))
+    elevation = np.concatenate(
+        (np.arcsin(generator.uniform(-1, 1, 30000)), -generator.uniform(0.9, LOWEST - 0.004, 14000))
+    )
     heading = generator.uniform(0, np.pi, len(elevation))
     candidates = _direction(elevation, heading)[elevation > -LOWEST]
     position = lookup(candidates)
@@ -169,14 +178,19 @@ def _inside(position: ndarray, loop: ndarray) -> ndarray:
     center = loop.mean(axis=0)
     offset, spokes = position[:, :2] - center, loop - center
     limit = np.interp(
-        np.arctan2(offset[:, 1], offset[:, 0]), np.arctan2(spokes[:, 1], spokes[:, 0]), np.linalg.norm(spokes, axis=1), period=2 * np.pi
+        np.arctan2(offset[:, 1], offset[:, 0]),
+        np.arctan2(spokes[:, 1], spokes[:, 0]),
+        np.linalg.norm(spokes, axis=1),
+        period=2 * np.pi,
     )
     return (np.linalg.norm(offset, axis=1) < limit) & (position[:, 2] > 0)
 
 
 def _direction(elevation: ndarray, heading: ndarray) -> ndarray:
     """Unit vectors of angles, rad; heading 0 is the face, π/2 the subject's left."""
-    return np.stack((np.cos(elevation) * np.sin(heading), np.sin(elevation), np.cos(elevation) * np.cos(heading)), axis=1)
+    return np.stack(
+        (np.cos(elevation) * np.sin(heading), np.sin(elevation), np.cos(elevation) * np.cos(heading)), axis=1
+    )
 
 
 def _coarse_lookup():
@@ -201,7 +215,9 @@ def _middle_line(lookup) -> ndarray:
         line = _direction(elevations, np.full(4000, heading))
         line[:, 0] = 0.0
         points = lookup(line)
-        travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1) / spacing(points)[1:])))
+        travelled = np.concatenate(
+            ([0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1) / spacing(points)[1:]))
+        )
         count = int(travelled[-1])
         kept.append(line[np.searchsorted(travelled, (np.arange(count) + 0.7) * travelled[-1] / count)])
     return np.concatenate(kept)
@@ -241,7 +257,8 @@ def _triangulate(directions: ndarray) -> ndarray:
 def _loops(directions: ndarray, lids: ndarray, lips: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     """Vertex numbers of the inner loops."""
     tree = cKDTree(directions)
-    return tuple(tree.query(loop)[1] for loop in (lids, lids * (-1, 1, 1), lips))
+    left, right, mouth = (np.asarray(tree.query(loop)[1]) for loop in (lids, lids * (-1, 1, 1), lips))
+    return left, right, mouth
 
 
 def _close_lips(vertices: ndarray, lips: ndarray) -> ndarray:

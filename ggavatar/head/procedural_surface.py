@@ -1,7 +1,8 @@
 """The procedural head's skin as a smooth union of blobs, and rays that find it.
 
-Every blob is a capsule with two radii (an ellipsoid when both ends coincide) in a space stretched along x, y and z. Lengths in metres, FLAME's
-axes. Positions follow common adult anthropometry (head 152 mm wide, 195 mm deep, eyes 62 mm apart, mouth 50 mm wide).
+Every blob is a capsule with two radii (an ellipsoid when both ends coincide) in a space stretched along x, y and z.
+Lengths in metres, FLAME's axes. Positions follow common adult anthropometry (head 152 mm wide, 195 mm deep, eyes 62 mm
+apart, mouth 50 mm wide).
 """
 
 from __future__ import annotations
@@ -120,7 +121,8 @@ SCULPTURE: tuple[Blob, ...] = SKULL + NECK + JAW + CHEEKS + BROWS + EYES + NOSE 
 def skin_distance(points: Float[ndarray, "N 3"], blobs: tuple[Blob, ...] = SCULPTURE) -> Float[ndarray, " N"]:
     """Approximate signed distance of points to the skin, negative inside, m.
 
-    The smooth union is the polynomial minimum of Quílez (2008): exact away from the transition, `blend`/4 deeper in its middle.
+    The smooth union is the polynomial minimum of Quílez (2008): exact away from the transition, `blend`/4 deeper in
+    its middle.
     """
     folded = points.copy()
     folded[:, 0] = np.sqrt(folded[:, 0] ** 2 + _MIDLINE_SOFTNESS**2) - _MIDLINE_SOFTNESS
@@ -139,8 +141,9 @@ def _smooth_minimum(first: ndarray, second: ndarray, width: float) -> ndarray:
 def cast(directions: Float[ndarray, "N 3"], blobs: tuple[Blob, ...] = SCULPTURE) -> Float[ndarray, "N 3"]:
     """The skin point that each unit direction of the parameter sphere stands for, m.
 
-    Directions above the chin are rays from the head's centre. Below it the origin slides down the neck while the ray levels out, so that the
-    throat and the neck are met at a useful angle; the last degrees before the south pole are swept outwards as shoulders.
+    Directions above the chin are rays from the head's centre. Below it the origin slides down the neck while the ray
+    levels out, so that the throat and the neck are met at a useful angle; the last degrees before the south pole are
+    swept outwards as shoulders.
     """
     origin, ray = _rays(directions)
     travelled = np.zeros(len(directions))
@@ -171,7 +174,10 @@ def _rays(directions: ndarray) -> tuple[ndarray, ndarray]:
 
 
 def _shoulder_sweep(directions: ndarray) -> ndarray:
-    """Offset from the bottom of the neck to the shoulders: outwards along x, less to the front and the back, and down, m."""
+    """Offset from the bottom of the neck to the shoulders.
+
+    Outwards along x, less to the front and the back, and down, m.
+    """
     along = np.clip(_below(directions) - 1.0, 0.0, 1.0)
     flat = directions[:, [0, 2]] / np.maximum(np.linalg.norm(directions[:, [0, 2]], axis=1, keepdims=True), 1e-9)
     sideways = flat[:, 0] ** 2

@@ -1,4 +1,7 @@
-"""Texture layout: the skin as a cylinder above, islands for the other pieces below. u to the right, v upward, both in [0, 1]."""
+"""Texture layout: the skin as a cylinder above, islands for the other pieces below.
+
+U to the right, v upward, both in [0, 1].
+"""
 
 from __future__ import annotations
 
@@ -31,8 +34,13 @@ _ISLANDS = {
 }
 
 
-def unwrap(points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], groups: dict[str, Int[ndarray, " R"]]) -> Float[ndarray, "F 3 2"]:
-    """Texture coordinates of every corner. The skin's seam runs down the back; pieces with two sides have them on top of each other."""
+def unwrap(
+    points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], groups: dict[str, Int[ndarray, " R"]]
+) -> Float[ndarray, "F 3 2"]:
+    """Texture coordinates of every corner. The skin's seam runs down the back.
+
+    Pieces with two sides have them on top of each other.
+    """
     angle = np.arctan2(points[:, 0], points[:, 2] + 0.030) / (2 * np.pi)
     height = _skin_height(points)
     flat = np.stack((angle, height), axis=1)
@@ -52,7 +60,10 @@ def unwrap(points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], groups: di
 
 
 def _skin_height(points: ndarray) -> ndarray:
-    """Height along the profile in [0, 1]: angle above the ears on the dome, metres below; the two meet smoothly enough for texels."""
+    """Height along the profile in [0, 1]: angle above the ears on the dome, metres below.
+
+    The two meet smoothly enough for texels.
+    """
     radius = np.hypot(points[:, 0], points[:, 2] + 0.030)
     dome = 0.045 + 0.085 * np.arctan2(np.maximum(points[:, 1] - 0.045, 0.0), radius)
     run = np.where(points[:, 1] > 0.045, dome, points[:, 1])

@@ -32,7 +32,10 @@ def tube(path: Float[ndarray, "N 3"], radius: float, *, closed: bool, sides: int
 def merged(parts: list[Part]) -> Part:
     """Several pieces as one."""
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-    return Part(np.concatenate([p.vertices for p in parts]), np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=True)]))
+    return Part(
+        np.concatenate([p.vertices for p in parts]),
+        np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=True)]),
+    )
 
 
 def _rim(sign: float) -> Float[ndarray, "N 3"]:
@@ -59,7 +62,9 @@ def glasses_frame() -> Part:
         parts.append(tube(path, _TUBE * 0.95, closed=False))
     share = np.linspace(-1, 1, 9)
     inner = np.min(np.abs(_rim(1.0)[:, 0]))
-    bridge = np.stack((share * (inner + 0.0005), 0.0285 + 0.0022 * (1 - share**2), _LENS_Z + 0.0006 + 0.0015 * (1 - share**2)), axis=1)
+    bridge = np.stack(
+        (share * (inner + 0.0005), 0.0285 + 0.0022 * (1 - share**2), _LENS_Z + 0.0006 + 0.0015 * (1 - share**2)), axis=1
+    )
     parts.append(tube(bridge, _TUBE, closed=False))
     return merged(parts)
 
@@ -83,7 +88,9 @@ def beanie() -> tuple[Part, Float[ndarray, "V 2"]]:
     rise = np.linspace(0, 1, levels)
     low = 0.62 - 0.36 * (0.5 - 0.5 * np.cos(heading))
     elevation = low[None] + rise[:, None] ** 0.9 * (np.pi / 2 - 0.01 - low[None])
-    direction = np.stack((np.cos(elevation) * np.sin(heading), np.sin(elevation), np.cos(elevation) * np.cos(heading)), axis=-1)
+    direction = np.stack(
+        (np.cos(elevation) * np.sin(heading), np.sin(elevation), np.cos(elevation) * np.cos(heading)), axis=-1
+    )
     skull = cast(direction.reshape(-1, 3), SKULL).reshape(levels, around + 1, 3)
     outwards = skull - (0.0, 0.03, -0.035)
     outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)

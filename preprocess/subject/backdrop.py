@@ -9,7 +9,7 @@ from numpy import ndarray
 
 
 def backdrop(kind: str, size: int, color: tuple[float, float, float], seed: int) -> Float[ndarray, "H W 3"]:
-    """sRGB picture of the background, the same in every frame.
+    """Picture of the background in sRGB, the same in every frame.
 
     Args:
         kind: "plain" or "busy".
@@ -37,7 +37,11 @@ def _furnish(wall: ndarray, size: int, generator: np.random.Generator) -> ndarra
         cv2.ellipse(canvas, center, axes, float(generator.uniform(0, 180)), 0, 360, tuple(float(c) for c in green), -1)
     cv2.circle(canvas, (int(0.72 * size), int(0.16 * size)), max(1, int(0.05 * size)), (1.6, 1.35, 0.95), -1)
     blurred = cv2.GaussianBlur(canvas, (0, 0), 0.016 * size)
-    return blurred + 0.010 * cv2.GaussianBlur(generator.standard_normal((size, size, 1)).astype(np.float32), (0, 0), 0.7)[..., None]
+    return (
+        blurred
+        + 0.010
+        * cv2.GaussianBlur(generator.standard_normal((size, size, 1)).astype(np.float32), (0, 0), 0.7)[..., None]
+    )
 
 
 def _window(canvas: ndarray, size: int) -> None:

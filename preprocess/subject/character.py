@@ -13,10 +13,11 @@ from ggavatar.head.procedural import procedural_head, procedural_names
 from ggavatar.head.procedural_identity import warp_points
 from ggavatar.head.procedural_parts import Part
 from preprocess.subject.accessories import beanie, glasses_frame, lenses
-from preprocess.subject.fuzz import Fuzz, beard, brows, lashes
+from preprocess.subject.fuzz import Fuzz, beard, brows
 from preprocess.subject.hair import Groom, grow, scalp_density, scatter
-from preprocess.subject.mesh_renderer import vertex_normals
+from preprocess.subject.lashes import lashes
 from preprocess.subject.light import sky_share
+from preprocess.subject.mesh_renderer import vertex_normals
 from preprocess.subject.person import PEOPLE, Person
 from preprocess.subject.skin_paint import paint_head, paint_relief
 from preprocess.subject.subdivision import Subdivision, subdivide
@@ -30,7 +31,10 @@ SKIN, EYE, MOUTH, LIPS, CLOTH, HAT, FRAME, LENS = range(8)
 
 @dataclass(frozen=True)
 class Worn:
-    """A rigid mesh beside the head: vertices at rest in m, faces, texture coordinates per corner, material of each face."""
+    """A rigid mesh beside the head.
+
+    Vertices at rest in m, faces, texture coordinates per corner, material of each face.
+    """
 
     points: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
@@ -49,7 +53,7 @@ class Character:
         fine: Subdivision of its triangles.
         uv: Texture coordinates of the fine corners.
         material: Material of the fine faces.
-        occlusion: Share of sky over the fine vertices.
+        occlusion: Share of sky over the fine vertices, then over those of the garment and of worn things.
         rest: Generic position of the fine vertices, m.
         torso: Garment, fixed in the room.
         worn: Glasses or hat, fixed to the head; maybe empty.
@@ -69,7 +73,7 @@ class Character:
     fine: Subdivision
     uv: Float[ndarray, "G 3 2"]
     material: UInt8[ndarray, " G"]
-    occlusion: Float[ndarray, " W"]
+    occlusion: Float[ndarray, " A"]
     rest: Float[ndarray, "W 3"]
     torso: Worn
     worn: Worn
@@ -116,7 +120,7 @@ def build_character(number: int) -> Character:
         folds=patches(texels),
         bulges=bulge_fields(rest, on_skin),
         groom=_groom(generic, identity, person, groups, number),
-        fuzz=_fuzz(head, fine, rest, shape, groups, person, number),
+        fuzz=_fuzz(head, fine, rest, groups, person, number),
         materials=_shader_rows(person),
     )
 
@@ -206,10 +210,15 @@ def _nothing() -> Worn:
 
 def _textures(texels: Texels, groups: dict[str, ndarray], person: Person, seed: int) -> tuple[ndarray, ndarray]:
     """Linear colours and heights of head, garment and worn things."""
-    head, head_relief = to_linear(paint_head(texels, groups, person, seed * 100)), paint_relief(texels, groups, seed * 100)
+    head, head_relief = (
+        to_linear(paint_head(texels, groups, person, seed * 100)),
+        paint_relief(texels, groups, seed * 100),
+    )
     cloth, cloth_relief = paint_garment(person.garment, TEXTURE, seed * 100 + 50)
     other, other_relief = _paint_worn(person, seed * 100 + 70)
-    return np.stack((head, cloth, other)).astype(np.float32), np.stack((head_relief, cloth_relief, other_relief)).astype(np.float32)
+    return np.stack((head, cloth, other)).astype(np.float32), np.stack(
+        (head_relief, cloth_relief, other_relief)
+    ).astype(np.float32)
 
 
 def _paint_worn(person: Person, seed: int) -> tuple[ndarray, ndarray]:
@@ -225,11 +234,13 @@ def _paint_worn(person: Person, seed: int) -> tuple[ndarray, ndarray]:
     return to_linear(image), relief
 
 
-def _occlusion(shape: ndarray, faces: ndarray, torso: Worn, worn: Worn) -> Float[ndarray, " W"]:
+def _occlusion(shape: ndarray, faces: ndarray, torso: Worn, worn: Worn) -> Float[ndarray, " A"]:
     """Ambient occlusion of head, garment and worn things at rest, in this order."""
     points = np.concatenate((shape, torso.points, worn.points))
     starts = np.cumsum((0, len(shape), len(torso.points)))
-    joined = np.concatenate([part + start for part, start in zip((faces, torso.faces, worn.faces), starts, strict=True)])
+    joined = np.concatenate(
+        [part + start for part, start in zip((faces, torso.faces, worn.faces), starts, strict=True)]
+    )
     return sky_share(points, vertex_normals(points, joined).astype(np.float64), joined).astype(np.float32)
 
 
@@ -241,15 +252,22 @@ def _groom(generic: HeadModel, identity: ndarray, person: Person, groups: dict[s
         density = density * (points[faces].mean(axis=1)[:, 1] < 0.045)
     face, weights = scatter(points, faces, density, person.hair.strands, np.random.default_rng([seed, 2]))
     groom = grow(np.einsum("sk,skc->sc", weights, points[faces[face]]), person.hair, seed)
-    shape = (identity * _rigid_identity())[None] * np.ones((1, 1))
-    nodes = warp_points(groom.nodes.reshape(-1, 3), shape[0]).reshape(groom.nodes.shape)
+    nodes = warp_points(groom.nodes.reshape(-1, 3), identity * _rigid_identity()).reshape(groom.nodes.shape)
     return Groom(nodes, groom.tone, groom.depth)
 
 
 def _fuzz(
-    head: HeadModel, fine: Subdivision, rest: ndarray, shape: ndarray, groups: dict[str, ndarray], person: Person, seed: int
+    head: HeadModel,
+    fine: Subdivision,
+    rest: ndarray,
+    groups: dict[str, ndarray],
+    person: Person,
+    seed: int,
 ) -> tuple[Fuzz, ...]:
-    """Brows, lashes and beard. Where they grow is decided on the generic head; their frames are those of the person's own skin."""
+    """Brows, lashes and beard. Where they grow is decided on the generic head.
+
+    Their frames are those of the person's own skin.
+    """
     skin = np.repeat(_is(groups["skin"], head.faces.numpy()), 4)
     loops = tuple(_fine_loop(head.regions[name].numpy(), fine) for name in ("left_lid_margin", "right_lid_margin"))
     made = (brows(rest, fine.faces, skin, person, seed), beard(rest, fine.faces, skin, person, seed))

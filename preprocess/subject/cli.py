@@ -1,4 +1,7 @@
-"""`ggavatar-demo`: a licence-free person as a user's data would be: a video, its mattes, a tracker's files and a head model."""
+"""`ggavatar-demo`: a licence-free person as a user's data would be.
+
+A video, its mattes, a tracker's files and a head model.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,10 @@ def _write(options: Options) -> None:
     values.pop("overwrite")
     for _ in _shown(write_demo(folder, Settings(**values)), options.frames):
         pass
-    sys.stdout.write(f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} --masks {folder / 'masks'}")
+    sys.stdout.write(
+        f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'}"
+        f" --masks {folder / 'masks'}"
+    )
     sys.stdout.write(f" --head {folder / 'head.npz'} -o capture\n")
 
 

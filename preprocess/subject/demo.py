@@ -94,12 +94,15 @@ def _write_truth(path: Path, truth: Tracking, names: tuple[str, ...]) -> None:
 
 def _readme(settings: Settings) -> str:
     return (
-        f"GGAvatar embedded subject {settings.identity}: a procedurally generated person. No photograph, scan or licensed model was used.\n"
-        f"{settings.frames} frames at {FPS} fps, {settings.size} px, background {settings.background}, tracker noise {settings.noise:g}, "
+        f"GGAvatar embedded subject {settings.identity}: a procedurally generated person.\n"
+        "No photograph, scan or licensed model was used.\n"
+        f"{settings.frames} frames at {FPS} fps, {settings.size} px, background {settings.background}, "
+        f"tracker noise {settings.noise:g}, "
         f"seed {settings.seed}.\n\n"
         "video.mp4          H.264\n"
         "masks/00000.png    true coverage of the person, 8 bit\n"
-        "tracking/00000.frame  metrical-tracker's layout; frame k belongs to image k; the first coefficients of exp are those of head.npz\n"
+        "tracking/00000.frame  metrical-tracker's layout; frame k belongs to image k;\n"
+        "                   the first coefficients of exp are those of head.npz\n"
         "head.npz           the head model the tracking belongs to (docs/capture-format.md)\n"
         "truth.npz          poses, focal length and parameters without tracker noise\n"
     )

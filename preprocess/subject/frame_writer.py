@@ -1,7 +1,10 @@
-"""The embedded subject's tracking, as metrical-tracker would have written it: one `.frame` per image, with its errors if wanted.
+"""The embedded subject's tracking, as metrical-tracker would have written it.
 
-Layout and conversions: metrical-tracker's `.frame` is a `torch.save`d dict of numpy arrays with a batch axis; the head pose is in the camera,
-the neck is the identity, rotations are the first two rows of the matrix, `img_size` is [height, width].
+One `.frame` per image, with its errors if wanted.
+
+Layout and conversions: metrical-tracker's `.frame` is a `torch.save`d dict of numpy arrays with a batch axis; the head
+pose is in the camera, the neck is the identity, rotations are the first two rows of the matrix, `img_size` is [height,
+width].
 """
 
 from __future__ import annotations
@@ -20,7 +23,10 @@ EXPRESSIONS, SHAPES = 100, 300
 
 @dataclass(frozen=True)
 class Tracking:
-    """What a tracker says about T frames; shapes and units as in docs/capture-format.md, without its neck and root joints."""
+    """What a tracker says about T frames.
+
+    Shapes and units as in docs/capture-format.md, without its neck and root joints.
+    """
 
     expression: Float[ndarray, "T E"]
     jaw: Float[ndarray, "T 3"]
@@ -34,8 +40,9 @@ class Tracking:
 def disturbed(tracking: Tracking, level: float, seed: int) -> Tracking:
     """The tracking with a tracker's errors; 0 gives it back unchanged, 1 is what monocular trackers do on real clips.
 
-    Errors drift over a few frames (jitter) and are partly constant (bias): pose 0.2°, 0.5 mm across and 3 mm along the view, focal length 1.5 %
-    with the depth that compensates for it, coefficients 0.04, jaw 0.01 rad, gaze 0.03 rad, lids 0.06.
+    Errors drift over a few frames (jitter) and are partly constant (bias): pose 0.2°, 0.5 mm across and 3 mm along the
+    view, focal length 1.5 % with the depth that compensates for it, coefficients 0.04, jaw 0.01 rad, gaze 0.03 rad,
+    lids 0.06.
     """
     if level == 0:
         return tracking

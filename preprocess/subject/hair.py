@@ -1,4 +1,6 @@
-"""Growing strands: scalp hair that is combed, falls and clumps, and short hair (brows, lashes, beard) that sits on moving skin.
+"""Growing strands.
+
+Scalp hair that is combed, falls and clumps, and short hair (brows, lashes, beard) that sits on moving skin.
 
 Scalp hair is grown on the generic head in metres; `Groom.nodes` are rest positions in head space.
 """
@@ -41,7 +43,11 @@ class Groom:
 
 
 def scatter(
-    points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], density: Float[ndarray, " F"], count: int, generator: np.random.Generator
+    points: Float[ndarray, "V 3"],
+    faces: Int[ndarray, "F 3"],
+    density: Float[ndarray, " F"],
+    count: int,
+    generator: np.random.Generator,
 ) -> tuple[Int[ndarray, " S"], Float[ndarray, "S 3"]]:
     """Random places on a mesh, more where `density` (per area) is high: face and barycentric weights."""
     corners = points[faces]
@@ -95,13 +101,16 @@ def _gradient(points: ndarray) -> tuple[ndarray, ndarray]:
 
 
 def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generator: np.random.Generator) -> ndarray:
-    """March from root to tip: lifted off the skin, combed, drawn down, kept outside head and shoulders and out of the face."""
+    """March from root to tip.
+
+    Lifted off the skin, combed, drawn down, kept outside head and shoulders and out of the face.
+    """
     _, normal = _gradient(roots)
     comb = _combed(roots, hair) + 0.16 * generator.standard_normal((len(roots), 3))
     comb -= (comb * normal).sum(axis=1, keepdims=True) * normal
     down = np.array([0.0, -1.0, 0.0]) + normal[:, 1:2] * normal
     comb += down * np.clip(0.6 - np.linalg.norm(comb, axis=1, keepdims=True), 0.0, 0.6)
-    direction = hair.lift * (0.6 + 0.8 * layer[:, None]) * normal + (1 - 0.6 * hair.lift) * comb 
+    direction = hair.lift * (0.6 + 0.8 * layer[:, None]) * normal + (1 - 0.6 * hair.lift) * comb
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     nodes = [roots]
     step = (lengths / (NODES - 1))[:, None]
@@ -123,7 +132,9 @@ def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generato
 def _tuck(points: ndarray) -> ndarray:
     """Keeps hair out of the face: beside and below the eyes it is drawn outwards and behind the ears."""
     zone = np.clip((points[:, 2] + 0.004) / 0.02, 0, 1) * np.clip((0.085 - points[:, 1]) / 0.03, 0, 1)
-    return zone[:, None] * np.stack((0.75 * np.sign(points[:, 0]), np.zeros(len(points)), np.full(len(points), -0.75)), axis=1)
+    return zone[:, None] * np.stack(
+        (0.75 * np.sign(points[:, 0]), np.zeros(len(points)), np.full(len(points), -0.75)), axis=1
+    )
 
 
 def _clump(nodes: ndarray, hair: Hair, generator: np.random.Generator) -> ndarray:

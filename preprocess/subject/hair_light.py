@@ -1,4 +1,7 @@
-"""Light on strands: diffuse and two highlights around the strand's direction (Kajiya and Kay 1989; the shifted lobes of Scheuermann 2004)."""
+"""Light on strands: diffuse and two highlights around the strand's direction (Kajiya and Kay 1989.
+
+The shifted lobes of Scheuermann 2004).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,11 @@ from preprocess.subject.shading import Lights, Shadow, shadowed
 
 
 def strand_colors(
-    nodes: Float[ndarray, "S N 3"], tones: Float[ndarray, "S 3"], open_: Float[ndarray, "S N"], lights: Lights, shadow: Shadow
+    nodes: Float[ndarray, "S N 3"],
+    tones: Float[ndarray, "S 3"],
+    open_: Float[ndarray, "S N"],
+    lights: Lights,
+    shadow: Shadow,
 ) -> Float[ndarray, "S N 3"]:
     """Linear colour of every node; `open_` is how much light reaches it through the other strands."""
     colors = np.empty(nodes.shape, np.float32)

@@ -1,4 +1,7 @@
-"""How scalp hair lags: damped springs that follow the head's pose, in bands of different stiffness, blended along the strands."""
+"""How scalp hair lags.
+
+Damped springs that follow the head's pose, in bands of different stiffness, blended along the strands.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ _DAMPING, _STEPS = 0.32, 8
 def lagging_poses(head_to_room: Float[ndarray, "T 4 4"], hang: float) -> Float[ndarray, "B T 4 4"]:
     """For every band of natural frequencies (Hz), the pose that a tuft of hair would like to have in each frame.
 
-    The pose is a damped spring drawn to the head's pose; its tilt is partly that of a plumb line, by `hang` from 0 to 1.
+    The pose is a damped spring drawn to the head's pose; its tilt is partly that of a plumb line, by `hang` from 0 to
+    1.
     """
     upright = _upright(head_to_room, hang)
     target = np.concatenate((Rotation.from_matrix(upright[:, :3, :3]).as_rotvec(), upright[:, :3, 3]), axis=1)
@@ -44,7 +48,10 @@ def _springs(target: ndarray, frequency: float) -> ndarray:
 
 
 def _upright(poses: ndarray, hang: float) -> ndarray:
-    """Poses whose pitch and roll are reduced by `hang`, about the middle of the head, so that long hair falls straight."""
+    """Poses whose pitch and roll are reduced by `hang`.
+
+    About the middle of the head, so that long hair falls straight.
+    """
     if hang <= 0:
         return poses
     turned = Rotation.from_matrix(poses[:, :3, :3])
@@ -60,7 +67,9 @@ def _upright(poses: ndarray, hang: float) -> ndarray:
     return result
 
 
-def swung(nodes: Float[ndarray, "S N 3"], head: Float[ndarray, "4 4"], lags: Float[ndarray, "B 4 4"], flex: float) -> Float[ndarray, "S N 3"]:
+def swung(
+    nodes: Float[ndarray, "S N 3"], head: Float[ndarray, "4 4"], lags: Float[ndarray, "B 4 4"], flex: float
+) -> Float[ndarray, "S N 3"]:
     """Nodes in the room: roots on the head, tips as far towards their band's lagging pose as `flex` allows."""
     at_head = nodes @ head[:3, :3].T + head[:3, 3]
     if flex <= 0:

@@ -16,7 +16,10 @@ _FAR = 10.0
 
 
 def lamps() -> Lights:
-    """A key light from the upper left, a weak fill from the right, a rim light from behind, a cool ceiling and a warm floor."""
+    """A key light from the upper left, a weak fill from the right.
+
+    A rim light from behind, a cool ceiling and a warm floor.
+    """
     directions = np.array([(-0.52, 0.50, 0.72), (0.80, 0.12, 0.60), (0.62, 0.42, -0.66)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return Lights(
@@ -47,7 +50,9 @@ def shadow_map(points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], lights
     return Shadow(depth, to_map)
 
 
-def sky_share(points: Float[ndarray, "V 3"], normals: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], directions: int = 56) -> Float[ndarray, " V"]:
+def sky_share(
+    points: Float[ndarray, "V 3"], normals: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], directions: int = 56
+) -> Float[ndarray, " V"]:
     """Share of the hemisphere over every vertex that is open, weighted by the cosine: ambient occlusion."""
     index = np.arange(directions) + 0.5
     height = 1 - 2 * index / directions

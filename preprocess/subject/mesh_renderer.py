@@ -1,6 +1,7 @@
 """Which triangle is seen in every sample of an image: a z-buffer with perspective-correct barycentrics.
 
-Samples are the pixels of a finer image; the caller averages them. Kernels are single-threaded, so that frames can be drawn side by side.
+Samples are the pixels of a finer image; the caller averages them. Kernels are single-threaded, so that frames can be
+drawn side by side.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ class Visibility:
     depth: Float[ndarray, "H W"]
 
 
-def project(points: Float[ndarray, "V 3"], intrinsics: Float[ndarray, "3 3"], world_to_camera: Float[ndarray, "4 4"]) -> Float[ndarray, "V 3"]:
+def project(
+    points: Float[ndarray, "V 3"], intrinsics: Float[ndarray, "3 3"], world_to_camera: Float[ndarray, "4 4"]
+) -> Float[ndarray, "V 3"]:
     """Pixel x, pixel y (centres at +0.5) and camera z in m of world points."""
     seen = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     depth = seen[:, 2]

@@ -1,4 +1,7 @@
-"""What the embedded subject does: speech, blinks, brows, smiles, gaze and head motion as curves over time, drawn from a seed."""
+"""What the embedded subject does.
+
+Speech, blinks, brows, smiles, gaze and head motion as curves over time, drawn from a seed.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +57,9 @@ VISEMES = (
     Viseme(0.015, (("lower_roll_in", 0.9), ("upper_lip_raise_left", 0.25), ("upper_lip_raise_right", 0.25))),
     Viseme(0.08, (("tongue_up", 0.8), ("lips_part", 0.6))),
     Viseme(0.05, (("funnel", 0.55), ("lips_part", 0.7))),
+    Viseme(0.11, (("tongue_out", 0.45), ("lips_part", 0.5))),
 )
-_VISEME_ODDS = (0.20, 0.15, 0.13, 0.10, 0.08, 0.13, 0.06, 0.10, 0.05)
+_VISEME_ODDS = (0.18, 0.15, 0.12, 0.10, 0.08, 0.13, 0.06, 0.09, 0.05, 0.04)
 
 
 @dataclass(frozen=True)
@@ -72,12 +76,23 @@ def _both(name: str, value: float) -> tuple[tuple[str, float], ...]:
 
 
 GESTURES = (
-    Gesture((*_both("smile", 1.1), *_both("cheek_squint", 0.7), *_both("upper_lip_raise", 0.35), ("lips_part", 0.7)), 2.4),
+    Gesture(
+        (*_both("smile", 1.1), *_both("cheek_squint", 0.7), *_both("upper_lip_raise", 0.35), ("lips_part", 0.7)), 2.4
+    ),
     Gesture((("brow_inner_up", 1.0), *_both("brow_outer_up", 1.0), *_both("eye_wide", 0.8)), 1.6),
     Gesture((*_both("brow_down", 1.0), *_both("eye_squint", 0.6), *_both("frown", 0.4)), 1.8),
     Gesture((*_both("smile", 0.6), *_both("dimple", 0.6)), 2.0),
     Gesture((("smile_left", 0.9), ("dimple_left", 0.8), ("cheek_squint_left", 0.5), ("brow_outer_up_left", 0.6)), 1.6),
-    Gesture((*_both("nose_wrinkle", 1.0), *_both("upper_lip_raise", 0.6), *_both("eye_squint", 0.7), ("brow_down_left", 0.5), ("brow_down_right", 0.5)), 1.4),
+    Gesture(
+        (
+            *_both("nose_wrinkle", 1.0),
+            *_both("upper_lip_raise", 0.6),
+            *_both("eye_squint", 0.7),
+            ("brow_down_left", 0.5),
+            ("brow_down_right", 0.5),
+        ),
+        1.4,
+    ),
     Gesture((*_both("cheek_puff", 1.0), ("lips_press", 0.6), ("pucker", 0.2)), 1.6, True),
     Gesture((("pucker", 1.0), ("cheek_suck", 0.5)), 1.2, True),
     Gesture((("brow_outer_up_right", 1.0), ("eye_squint_left", 0.5), ("mouth_shift_right", 0.5)), 1.4),
@@ -87,7 +102,7 @@ GESTURES = (
     Gesture((*_both("lower_lip_depress", 0.8), *_both("stretch", 0.9), ("lips_part", 0.6)), 1.1, True),
     Gesture((("nostril_flare", 1.0), ("upper_roll_in", 0.6), ("lower_roll_in", 0.6), ("swallow", 1.0)), 1.2, True),
     Gesture((("upper_lip_forward", 0.7), ("lower_lip_forward", 0.9), ("lips_tighten", 0.6)), 1.2, True),
-)  # fmt: skip
+)
 
 
 def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
@@ -110,7 +125,7 @@ def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
     return Motion(expression, jaw, eyes, eyelids, _pose(yaw, pitch, roll, shift), _sway(frames, yaw, generator))
 
 
-def _drift(frames: int, width: float, generator: np.random.Generator) -> ndarray:
+def _drift(frames: int, width: int, generator: np.random.Generator) -> ndarray:
     """Smooth noise of unit root mean square; `width` in frames."""
     padding = int(4 * width)
     noise = gaussian_filter1d(generator.standard_normal(frames + 2 * padding), width)[padding : padding + frames]
@@ -128,7 +143,8 @@ def _envelope(frames: int, center: float, length: float) -> ndarray:
 def _gestures(index: dict[str, int], frames: int, generator: np.random.Generator) -> tuple[ndarray, ndarray]:
     """Gestures one after another in shuffled order, repeated with new strengths; and when they silence speech."""
     expression, quiet = np.zeros((frames, len(index))), np.zeros(frames)
-    time, order = 0.35 * FPS, []
+    time = 0.35 * FPS
+    order: list[int] = []
     while time < frames:
         order = order or list(generator.permutation(len(GESTURES)))
         gesture = GESTURES[order.pop()]
@@ -137,7 +153,7 @@ def _gestures(index: dict[str, int], frames: int, generator: np.random.Generator
         for name, value in gesture.shapes:
             expression[:, index[name]] += value * curve * generator.uniform(0.85, 1.12)
         quiet = np.maximum(quiet, curve * gesture.silent)
-        time += length * 0.85 + FPS * generator.uniform(0.0, 0.35)
+        time += length * 0.80 + FPS * generator.uniform(0.0, 0.25)
     return expression, quiet
 
 
@@ -179,7 +195,10 @@ def _head(frames: int, generator: np.random.Generator) -> tuple[ndarray, ndarray
 
 
 def _gaze(frames: int, yaw: ndarray, pitch: ndarray, generator: np.random.Generator) -> ndarray:
-    """Saccades between fixations; half of the head's turn is compensated, as when somebody keeps looking at the camera."""
+    """Saccades between fixations.
+
+    Half of the head's turn is compensated, as when somebody keeps looking at the camera.
+    """
     target = np.zeros((frames, 2))
     start = 0
     while start < frames:

@@ -1,4 +1,7 @@
-"""The demo folder: video, mattes, tracking, head and truth, with a list of what was written so that only that is ever replaced."""
+"""The demo folder.
+
+Video, mattes, tracking, head and truth, with a list of what was written so that only that is ever replaced.
+"""
 
 from __future__ import annotations
 
@@ -30,21 +33,29 @@ class DemoFolder:
         self._stream.width = self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
         self._stream.thread_count = 1
-        self._stream.options = {"crf": "11", "preset": "medium", "x264-params": "colorprim=bt709:transfer=bt709:colormatrix=bt709"}
+        self._stream.options = {
+            "crf": "11",
+            "preset": "medium",
+            "x264-params": "colorprim=bt709:transfer=bt709:colormatrix=bt709",
+        }
         self._stream.codec_context.color_range = 1
         self._stream.codec_context.colorspace = 1
 
     def __enter__(self) -> DemoFolder:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         for packet in self._stream.encode():
             self._video.mux(packet)
         self._video.close()
 
     def add(self, index: int, image: UInt8[ndarray, "H W 3"], alpha: Float[ndarray, "H W"]) -> None:
         """Append one frame to the video and write its matte."""
-        frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(
+            format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
+        )
         frame.pts = index
         for packet in self._stream.encode(frame):
             self._video.mux(packet)
@@ -62,7 +73,9 @@ class DemoFolder:
 
 
 def claim(folder: Path, *, overwrite: bool) -> None:
-    """Make sure that the folder may be written; with `overwrite`, take away the files of an earlier demo, and nothing else.
+    """Make sure that the folder may be written.
+
+    With `overwrite`, take away the files of an earlier demo, and nothing else.
 
     Raises:
         InputError: The folder holds files and `overwrite` was not given, or it is not a folder.
@@ -72,7 +85,9 @@ def claim(folder: Path, *, overwrite: bool) -> None:
     if not folder.exists() or not any(folder.iterdir()):
         return
     if not overwrite:
-        raise InputError(f"expected a new or empty folder, found files in {folder}; choose another one with -o or add --overwrite")
+        raise InputError(
+            f"expected a new or empty folder, found files in {folder}; choose another one with -o or add --overwrite"
+        )
     listed = folder / MANIFEST
     names = json.loads(listed.read_text("utf-8")).get("files", []) if listed.is_file() else []
     for name in names:
@@ -85,4 +100,6 @@ def write_manifest(folder: Path, settings: dict, frames: int) -> None:
     """List the files of this demo and the settings that made them."""
     files = ["video.mp4", "head.npz", "truth.npz", "README.txt", MANIFEST]
     files += [f"masks/{k:05d}.png" for k in range(frames)] + [f"tracking/{k:05d}.frame" for k in range(frames)]
-    (folder / MANIFEST).write_text(json.dumps({"settings": settings, "files": files}, indent=1) + "\n", encoding="utf-8")
+    (folder / MANIFEST).write_text(
+        json.dumps({"settings": settings, "files": files}, indent=1) + "\n", encoding="utf-8"
+    )

@@ -76,6 +76,7 @@ def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
     below &= ~np.isin(near, upper)
     weight = np.exp(-((away / 0.0032) ** 2)) * np.where(below, -1.0, 1.0)
     kept = np.abs(weight) > 0.02
+    pair = np.asarray(pair)
     return StickyLips(upper, lower, 0.25 + 0.75 * across**3, near[kept], pair[kept], weight[kept])
 
 

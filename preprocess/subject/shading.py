@@ -1,4 +1,6 @@
-"""Colour of every visible sample: textures, bumps, a shadowed key light, fill, rim and sky, skin that lets red light through, gloss.
+"""Colour of every visible sample.
+
+Textures, bumps, a shadowed key light, fill, rim and sky, skin that lets red light through, gloss.
 
 Directions and positions are in the room, colours linear. Kernels are single-threaded and release the interpreter lock.
 """
@@ -14,7 +16,10 @@ from ggavatar.compiled import inlined, kernel
 
 
 class Mesh(NamedTuple):
-    """Posed geometry: points and normals [V, 3], occlusion [V, 1], faces [F, 3], texture coordinates [F, 3, 2], material number [F]."""
+    """Posed geometry.
+
+    Points and normals [V, 3], occlusion [V, 1], faces [F, 3], texture coordinates [F, 3, 2], material number [F].
+    """
 
     points: ndarray
     normals: ndarray
@@ -25,7 +30,10 @@ class Mesh(NamedTuple):
 
 
 class Look(NamedTuple):
-    """Albedo textures [T, R, R, 3], heights [T, R, R] in m, and a row per material: texture, roughness, gloss, scattering, mirror."""
+    """Albedo textures [T, R, R, 3], heights [T, R, R] in m, and a row per material.
+
+    Texture, roughness, gloss, scattering, mirror.
+    """
 
     albedo: ndarray
     height: ndarray
@@ -33,7 +41,10 @@ class Look(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Unit directions [L, 3] towards the lights and their colours [L, 3] (the first one casts shadows), sky and ground colours, camera position."""
+    """Unit directions [L, 3] towards the lights and their colours [L.
+
+    3] (the first one casts shadows), sky and ground colours, camera position.
+    """
 
     directions: ndarray
     colors: ndarray
@@ -202,13 +213,21 @@ def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
     size = look.albedo.shape[1]
     x, y = u * size - 0.5, v * size - 0.5
     for channel in range(3):
-        out[channel] = out[channel] * _bilinear(look.albedo[texture, :, :, channel], x, y) + highlight * lights.colors[0, channel] * 0.5
+        out[channel] = (
+            out[channel] * _bilinear(look.albedo[texture, :, :, channel], x, y)
+            + highlight * lights.colors[0, channel] * 0.5
+        )
     if mirror > 0:
         twice = 2 * facing
         shine = _softbox(lights, twice * nx - vx, twice * ny - vy, twice * nz - vz) * (0.3 + 0.7 * lit)
         fresnel = 0.03 + 0.97 * (1 - facing) ** 5
         for channel in range(3):
-            out[channel] += mirror * lights.colors[0, channel] * (2.2 * shine * (0.2 + fresnel) + 0.25 * fresnel * lights.sky[channel]) * occlusion
+            out[channel] += (
+                mirror
+                * lights.colors[0, channel]
+                * (2.2 * shine * (0.2 + fresnel) + 0.25 * fresnel * lights.sky[channel])
+                * occlusion
+            )
 
 
 @inlined
@@ -231,7 +250,12 @@ def _collect(material, lights, normal, view, lit, occlusion, out):
         for channel in range(3):
             wrap = scatter * (0.42, 0.16, 0.10)[channel]
             softened = reach ** (1.0 - 0.8 * wrap)
-            out[channel] += lights.colors[light, channel] * max((cosine + wrap) / (1 + wrap), 0.0) * softened * (0.35 + 0.65 * occlusion)
+            out[channel] += (
+                lights.colors[light, channel]
+                * max((cosine + wrap) / (1 + wrap), 0.0)
+                * softened
+                * (0.35 + 0.65 * occlusion)
+            )
         if cosine > 0.01:
             hx, hy, hz = lx + vx, ly + vy, lz + vz
             length = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-9

@@ -1,4 +1,7 @@
-"""Colour and fine relief of skin, lips, eyes and teeth, painted in texture space. Colours sRGB until the end, lengths in metres."""
+"""Colour and fine relief of skin, lips, eyes and teeth, painted in texture space.
+
+Colours sRGB until the end, lengths in metres.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +20,30 @@ from preprocess.subject.texture_space import Texels, bump, noise, step
 _IRIS_ANGLE, _PUPIL_ANGLE = 0.475, 0.175
 
 
-def blend(base: Float[ndarray, "N 3"], color: tuple[float, float, float] | ndarray, amount: Float[ndarray, " N"]) -> Float[ndarray, "N 3"]:
+def blend(
+    base: Float[ndarray, "N 3"], color: tuple[float, float, float] | ndarray, amount: Float[ndarray, " N"]
+) -> Float[ndarray, "N 3"]:
     """Move colours towards another one."""
     return base + (np.asarray(color) - base) * amount[:, None]
 
 
 def scalp_share(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """Where hair grows on the head, with a soft hairline: 1 on the crown, 0 on the face, the ears' surroundings and the nape."""
+    """Where hair grows on the head, with a soft hairline.
+
+    1 on the crown, 0 on the face, the ears' surroundings and the nape.
+    """
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     ragged = 0.0022 * noise(points, 0.009, 11) + 0.0010 * noise(points, 0.0025, 14)
-    line = np.interp(z, [-0.125, -0.085, -0.060, -0.035, -0.012, 0.004, 0.018, 0.040], [-0.042, -0.046, -0.036, -0.004, 0.018, 0.050, 0.074, 0.083])
-    line = line - 0.004 * np.exp(-((x / 0.016) ** 2)) * (z > 0) + 0.005 * np.exp(-(((x - 0.040) / 0.010) ** 2)) * (z > 0.01)
+    line = np.interp(
+        z,
+        [-0.125, -0.085, -0.060, -0.035, -0.012, 0.004, 0.018, 0.040],
+        [-0.042, -0.046, -0.036, -0.004, 0.018, 0.050, 0.074, 0.083],
+    )
+    line = (
+        line
+        - 0.004 * np.exp(-((x / 0.016) ** 2)) * (z > 0)
+        + 0.005 * np.exp(-(((x - 0.040) / 0.010) ** 2)) * (z > 0.01)
+    )
     return step(-0.007, 0.006, y - line + ragged)
 
 
@@ -38,7 +54,11 @@ def beard_share(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
     upper = np.interp(x, [0.0, 0.020, 0.028, 0.047, 0.059, 0.066], [-0.030, -0.031, -0.048, -0.041, -0.016, 0.030])
     lower = np.interp(z, [-0.03, 0.0, 0.03], [-0.075, -0.098, -0.110])
     inside = step(-0.005, 0.006, upper - y + ragged) * step(-0.005, 0.005, y - lower + ragged) * step(-0.034, -0.018, z)
-    return inside * (1 - step(0.2, 0.8, vermilion(points))) * (1 - 0.75 * bump(points, (0.0, -0.058, 0.052), (0.016, 0.0025, 0.02)))
+    return (
+        inside
+        * (1 - step(0.2, 0.8, vermilion(points)))
+        * (1 - 0.75 * bump(points, (0.0, -0.058, 0.052), (0.016, 0.0025, 0.02)))
+    )
 
 
 def vermilion(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
@@ -46,7 +66,11 @@ def vermilion(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
     x = np.abs(points[:, 0])
     across = np.clip(x / (MOUTH_HALF_WIDTH + 0.0005), 0, 1)
     height = points[:, 1] - slit_height(points[:, 0])
-    bow = 0.0066 * (1 - across**2.2) - 0.0016 * np.exp(-((x / 0.0030) ** 2)) + 0.0006 * np.exp(-(((x - 0.006) / 0.004) ** 2))
+    bow = (
+        0.0066 * (1 - across**2.2)
+        - 0.0016 * np.exp(-((x / 0.0030) ** 2))
+        + 0.0006 * np.exp(-(((x - 0.006) / 0.004) ** 2))
+    )
     lower = 0.0088 * (1 - across**2.4)
     inside = np.minimum(bow - height, height + lower)
     return step(-0.0009, 0.0007, inside) * (points[:, 2] > 0.02) * step(1.0, 0.985, across)
@@ -56,29 +80,47 @@ def skin_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Floa
     """Skin with its zones, freckles, stubble, lips and the shade of hair at the roots."""
     skin = person.skin
     color = np.tile(np.asarray(skin.tone), (len(points), 1))
-    mottle = 0.5 * noise(points, 0.022, seed) + 0.35 * noise(points, 0.008, seed + 1) + 0.2 * noise(points, 0.0028, seed + 2)
+    mottle = (
+        0.5 * noise(points, 0.022, seed) + 0.35 * noise(points, 0.008, seed + 1) + 0.2 * noise(points, 0.0028, seed + 2)
+    )
     color *= (1 + 0.035 * mottle)[:, None]
     cheeks = bump(points, (0.040, -0.012, 0.032), (0.020, 0.017, 0.03))
     nose = bump(points, (0.0, -0.016, 0.066), (0.017, 0.012, 0.016))
     ears = step(0.071, 0.080, np.abs(points[:, 0])) * (points[:, 1] < 0.05)
-    blood = np.clip(0.50 * cheeks + 0.55 * nose + 0.5 * ears + 0.16 * bump(points, (0.0, -0.075, 0.05), (0.02, 0.012, 0.02)), 0, 1)
+    blood = np.clip(
+        0.50 * cheeks + 0.55 * nose + 0.5 * ears + 0.16 * bump(points, (0.0, -0.075, 0.05), (0.02, 0.012, 0.02)), 0, 1
+    )
     color = blend(color, skin.flush, blood * (0.75 + 0.25 * noise(points, 0.010, seed + 3)))
     lids = bump(points, (0.031, 0.0245, 0.034), (0.019, 0.013, 0.02))
     color = blend(color, np.asarray(skin.tone) * (0.80, 0.68, 0.66), 0.42 * lids)
-    color = blend(color, np.asarray(skin.tone) * (0.78, 0.70, 0.74), 0.35 * bump(points, (0.026, 0.010, 0.038), (0.014, 0.006, 0.02)))
+    color = blend(
+        color,
+        np.asarray(skin.tone) * (0.78, 0.70, 0.74),
+        0.35 * bump(points, (0.026, 0.010, 0.038), (0.014, 0.006, 0.02)),
+    )
     if skin.freckles > 0:
         color = blend(color, np.asarray(skin.tone) * (0.80, 0.64, 0.54), skin.freckles * _freckles(points, seed))
     if skin.stubble > 0:
         grain = 0.65 + 0.35 * noise(points, 0.0014, seed + 7)
-        color = blend(color, np.asarray(person.hair.color) * 0.5 + np.asarray(skin.tone) * 0.40, skin.stubble * 0.75 * beard_share(points) * grain)
+        color = blend(
+            color,
+            np.asarray(person.hair.color) * 0.5 + np.asarray(skin.tone) * 0.40,
+            skin.stubble * 0.75 * beard_share(points) * grain,
+        )
     lips = vermilion(points)
     lines = 1 + 0.10 * noise(points * (6.0, 0.8, 1.0), 0.004, seed + 8)
     color = blend(color, np.asarray(skin.lips), lips) * np.where(lips > 0.3, lines, 1.0)[:, None]
     roots = scalp_share(points) * (0.93 if person.hair.length > 0.03 else 0.86) * (person.hair.length > 0)
     color = blend(color, np.asarray(person.hair.color) * 0.55, roots)
     if person.beard:
-        color = blend(color, np.asarray(person.beard.color) * 0.8 + np.asarray(skin.tone) * 0.12, 0.8 * beard_share(points))
-    color = blend(color, np.asarray(person.brow) * 0.6 + np.asarray(skin.tone) * 0.35, 0.55 * person.brow_weight * brow_share(points))
+        color = blend(
+            color, np.asarray(person.beard.color) * 0.8 + np.asarray(skin.tone) * 0.12, 0.8 * beard_share(points)
+        )
+    color = blend(
+        color,
+        np.asarray(person.brow) * 0.6 + np.asarray(skin.tone) * 0.35,
+        0.55 * person.brow_weight * brow_share(points),
+    )
     nostril = bump(points, (0.0068, -0.0262, 0.0585), (0.0030, 0.0028, 0.0050))
     color = blend(color, np.asarray(skin.tone) * (0.30, 0.16, 0.13), np.clip(1.5 * nostril - 0.25, 0, 0.95))
     return _lid_edges(color, points, person)
@@ -96,7 +138,10 @@ def brow_share(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
 def _freckles(points: ndarray, seed: int) -> ndarray:
     """Spots of random size across nose and cheeks."""
     generator = np.random.default_rng(seed + 20)
-    zone = np.maximum(bump(points, (0.026, -0.004, 0.045), (0.026, 0.018, 0.04)), 0.35 * bump(points, (0.0, 0.06, 0.04), (0.04, 0.02, 0.03)))
+    zone = np.maximum(
+        bump(points, (0.026, -0.004, 0.045), (0.026, 0.018, 0.04)),
+        0.35 * bump(points, (0.0, 0.06, 0.04), (0.04, 0.02, 0.03)),
+    )
     candidates = points[generator.choice(len(points), 1100, replace=False, p=zone / zone.sum())]
     sizes = generator.uniform(0.00035, 0.0011, len(candidates))
     strengths = generator.uniform(0.15, 0.75, len(candidates))
@@ -108,7 +153,9 @@ def _freckles(points: ndarray, seed: int) -> ndarray:
 def _lid_edges(color: ndarray, points: ndarray, person: Person) -> ndarray:
     """The moist pink rim of the lids and the dark line of the lashes' roots."""
     folded = np.column_stack((np.abs(points[:, 0]), points[:, 1]))
-    fine = np.concatenate([lid_curve(32) + share * (np.roll(lid_curve(32), -1, axis=0) - lid_curve(32)) for share in (0, 0.25, 0.5, 0.75)])
+    fine = np.concatenate(
+        [lid_curve(32) + share * (np.roll(lid_curve(32), -1, axis=0) - lid_curve(32)) for share in (0, 0.25, 0.5, 0.75)]
+    )
     tree = cKDTree(fine)
     near = (np.abs(points[:, 1] - 0.024) < 0.02) & (points[:, 2] > 0.005) & (folded[:, 0] < 0.055)
     away = np.full(len(points), 1.0)
@@ -123,7 +170,9 @@ def _lid_edges(color: ndarray, points: ndarray, person: Person) -> ndarray:
 
 def eye_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Float[ndarray, "N 3"]:
     """Sclera with fine veins, iris with fibres and a dark limbus, pupil."""
-    folded = np.column_stack((np.abs(points[:, 0]) - EYE_CENTER[0], points[:, 1] - EYE_CENTER[1], points[:, 2] - EYE_CENTER[2]))
+    folded = np.column_stack(
+        (np.abs(points[:, 0]) - EYE_CENTER[0], points[:, 1] - EYE_CENTER[1], points[:, 2] - EYE_CENTER[2])
+    )
     angle = np.arccos(np.clip(folded[:, 2] / np.linalg.norm(folded, axis=1), -1, 1))
     around = np.arctan2(folded[:, 1], folded[:, 0] * np.sign(points[:, 0]))
     color = np.tile((0.90, 0.88, 0.85), (len(points), 1))
@@ -148,7 +197,9 @@ def tooth_color(points: Float[ndarray, "N 3"], *, upper: bool) -> Float[ndarray,
     return blend(color, (0.72, 0.38, 0.38), step(0.0088, 0.0098, rise))
 
 
-def paint_head(texels: Texels, groups: dict[str, Int[ndarray, " F"]], person: Person, seed: int) -> Float[ndarray, "R R 3"]:
+def paint_head(
+    texels: Texels, groups: dict[str, Int[ndarray, " F"]], person: Person, seed: int
+) -> Float[ndarray, "R R 3"]:
     """The head's colour texture, sRGB; `groups` lists the faces of each piece."""
     bare = replace(person, skin=replace(person.skin, stubble=0.0), beard=None, hair=replace(person.hair, length=-1.0))
     painters = {

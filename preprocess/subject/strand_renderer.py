@@ -31,7 +31,9 @@ def draw_strands(
     """
     middle = (pixels[:, 1:, 2] + pixels[:, :-1, 2]).ravel()
     order = np.argsort(-middle, kind="stable")
-    _draw(*(np.ascontiguousarray(values, np.float32) for values in (pixels, colors, widths)), order, depth, color, alpha)
+    _draw(
+        *(np.ascontiguousarray(values, np.float32) for values in (pixels, colors, widths)), order, depth, color, alpha
+    )
 
 
 @kernel
@@ -42,7 +44,11 @@ def _draw(pixels, colors, widths, order, depth, color, alpha):
     for item in range(order.shape[0]):
         strand, node = order[item] // segments, order[item] % segments
         ax, ay, az = pixels[strand, node, 0], pixels[strand, node, 1], pixels[strand, node, 2]
-        dx, dy, dz = pixels[strand, node + 1, 0] - ax, pixels[strand, node + 1, 1] - ay, pixels[strand, node + 1, 2] - az
+        dx, dy, dz = (
+            pixels[strand, node + 1, 0] - ax,
+            pixels[strand, node + 1, 1] - ay,
+            pixels[strand, node + 1, 2] - az,
+        )
         if min(az, az + dz) < 0.05:
             continue
         thickness = 0.5 * (widths[strand, node] + widths[strand, node + 1])
@@ -55,7 +61,10 @@ def _draw(pixels, colors, widths, order, depth, color, alpha):
         window = reach * length / max(abs(run), 1e-3) if abs(run) > 1e-3 else reach
         window = min(window, 2.0 * reach)
         long_size, short_size = (height, width) if steep else (width, height)
-        first, last = int(max(min(start, start + run) - reach, 0.0)), int(min(max(start, start + run) + reach, long_size - 1.0))
+        first, last = (
+            int(max(min(start, start + run) - reach, 0.0)),
+            int(min(max(start, start + run) + reach, long_size - 1.0)),
+        )
         for major in range(first, last + 1):
             middle = side + slope * (major + 0.5 - start)
             low, high = int(max(middle - window, 0.0)), int(min(middle + window, short_size - 1.0))

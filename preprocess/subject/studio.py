@@ -38,7 +38,9 @@ class Studio:
         hair = self._character.person.hair
         self._lags = lagging_poses(motion.head_to_room, 0.65 if hair.length > 0.1 else 0.0)
         self._faces, self._uv, self._material = _joined(self._character)
-        self._hair_color = to_linear(np.asarray(hair.color))[None] * self._character.groom.tone[:, None].astype(np.float32)
+        self._hair_color = to_linear(np.asarray(hair.color))[None] * self._character.groom.tone[:, None].astype(
+            np.float32
+        )
 
     @property
     def head(self) -> HeadModel:
@@ -66,13 +68,21 @@ class Studio:
         seen = rasterize(project(points, room.intrinsics(side), room.room_to_camera()), self._faces, side, side)
         color = np.zeros((side, side, 3), np.float32)
         mesh = Mesh(
-            points.astype(np.float32), vertex_normals(points, self._faces), self._open_sky(geometry), self._faces, self._uv, self._material
+            points.astype(np.float32),
+            vertex_normals(points, self._faces),
+            self._open_sky(geometry),
+            self._faces,
+            self._uv,
+            self._material,
         )
         shade(seen.face, seen.weights, mesh, self._look(geometry), self._lights, shadow, color)
         return color, (seen.face >= 0).astype(np.float32), seen.depth
 
     def _open_sky(self, geometry: Pose) -> Float[ndarray, "V 1"]:
-        """Baked occlusion; in the mouth it depends on how far the lips are apart and how deep a point lies behind them."""
+        """Baked occlusion.
+
+        In the mouth it depends on how far the lips are apart and how deep a point lies behind them.
+        """
         open_sky = self._character.occlusion.copy()
         fine = self._character.fine.faces
         inside = np.unique(fine[self._character.material == MOUTH])
@@ -87,11 +97,16 @@ class Studio:
         add_folds(relief[0], self._character.folds, geometry.values, self._character.person.skin.age)
         return Look(self._character.albedo, relief, self._character.materials)
 
-    def _strands(self, geometry: Pose, index: int, shadow: Shadow, color: ndarray, alpha: ndarray, depth: ndarray) -> None:
+    def _strands(
+        self, geometry: Pose, index: int, shadow: Shadow, color: ndarray, alpha: ndarray, depth: ndarray
+    ) -> None:
         """Brows, lashes, beard and hair over the surfaces, in place."""
         side = self._size * _FINER
         groom, hair = self._character.groom, self._character.person.hair
-        parts = [(item.posed(geometry.head), item.colors, item.widths, np.full(item.local.shape[:2], 0.85)) for item in self._character.fuzz]
+        parts = [
+            (item.posed(geometry.head), item.colors, item.widths, np.full(item.local.shape[:2], 0.85))
+            for item in self._character.fuzz
+        ]
         nodes = swung(groom.nodes, self._motion.head_to_room[index], self._lags[:, index], hair.flex)
         parts.append((nodes, self._hair_color, np.full(len(nodes), hair.width), groom.depth))
         for nodes, tones, widths, open_ in parts:

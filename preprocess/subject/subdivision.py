@@ -37,7 +37,10 @@ def subdivide(faces: Int[ndarray, "F 3"], count: int) -> Subdivision:
     middle = inverse.reshape(3, -1).T + count
     a, b, c = faces.T
     ab, bc, ca = middle.T
-    fine = np.stack((np.stack((a, ab, ca), 1), np.stack((ab, b, bc), 1), np.stack((ca, bc, c), 1), np.stack((ab, bc, ca), 1)), axis=1)
+    fine = np.stack(
+        (np.stack((a, ab, ca), 1), np.stack((ab, b, bc), 1), np.stack((ca, bc, c), 1), np.stack((ab, bc, ca), 1)),
+        axis=1,
+    )
     inner = uses == 2
     old = _old_vertices(unique, inner, count)
     new = _edge_vertices(unique, inner, inverse, faces, count)
@@ -63,7 +66,9 @@ def _old_vertices(unique: ndarray, inner: ndarray, count: int) -> tuple[ndarray,
     return rows, columns, values
 
 
-def _edge_vertices(unique: ndarray, inner: ndarray, inverse: ndarray, faces: ndarray, count: int) -> tuple[ndarray, ndarray, ndarray]:
+def _edge_vertices(
+    unique: ndarray, inner: ndarray, inverse: ndarray, faces: ndarray, count: int
+) -> tuple[ndarray, ndarray, ndarray]:
     """Rows of the new vertices: 3/8 of each end and 1/8 of each opposite vertex, or the midpoint on a boundary."""
     number = np.arange(len(unique)) + count
     ends = np.where(inner, 3 / 8, 1 / 2)

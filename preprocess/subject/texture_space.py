@@ -67,7 +67,9 @@ def step(low: float, high: float, values: Float[ndarray, " N"]) -> Float[ndarray
     return share * share * (3 - 2 * share)
 
 
-def bump(points: Float[ndarray, "N 3"], center: tuple[float, float, float], reach: tuple[float, float, float]) -> Float[ndarray, " N"]:
+def bump(
+    points: Float[ndarray, "N 3"], center: tuple[float, float, float], reach: tuple[float, float, float]
+) -> Float[ndarray, " N"]:
     """A Gaussian around a point and its mirror image, 1 in the middle."""
     folded = np.column_stack((np.abs(points[:, 0]), points[:, 1:]))
     return np.exp(-(((folded - center) / reach) ** 2).sum(axis=1))
@@ -80,6 +82,6 @@ def to_linear(srgb: Float[ndarray, "*N 3"]) -> Float[ndarray, "*N 3"]:
 
 
 def to_srgb(linear: Float[ndarray, "*N 3"]) -> Float[ndarray, "*N 3"]:
-    """sRGB of linear colour, clipped to [0, 1]."""
+    """Linear colour as sRGB, clipped to [0, 1]."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055).astype(np.float32)

@@ -16,9 +16,18 @@ from preprocess.subject.texture_space import noise, to_linear
 _AROUND, _LEVELS, _CENTER_Z = 96, 56, -0.054
 _KNOTS = np.array([0.0, 0.05, 0.10, 0.22, 0.36, 0.48, 0.60, 0.72, 0.86, 1.0])
 # Distance from the neck's axis and height, m, from the inside of the collar to below the picture.
-_SIDE = ((0.050, 0.0600, 0.0660, 0.088, 0.126, 0.160, 0.186, 0.203, 0.212, 0.214), (-0.158, -0.138, -0.142, -0.154, -0.163, -0.174, -0.196, -0.245, -0.33, -0.46))
-_FRONT = ((0.050, 0.0600, 0.0660, 0.076, 0.090, 0.102, 0.112, 0.120, 0.124, 0.124), (-0.180, -0.160, -0.164, -0.182, -0.200, -0.220, -0.248, -0.292, -0.36, -0.47))
-_BACK = ((0.050, 0.0600, 0.0660, 0.080, 0.096, 0.108, 0.115, 0.118, 0.118, 0.116), (-0.150, -0.130, -0.134, -0.144, -0.158, -0.178, -0.205, -0.250, -0.33, -0.46))
+_SIDE = (
+    (0.050, 0.0600, 0.0660, 0.088, 0.126, 0.160, 0.186, 0.203, 0.212, 0.214),
+    (-0.158, -0.138, -0.142, -0.154, -0.163, -0.174, -0.196, -0.245, -0.33, -0.46),
+)
+_FRONT = (
+    (0.050, 0.0600, 0.0660, 0.076, 0.090, 0.102, 0.112, 0.120, 0.124, 0.124),
+    (-0.180, -0.160, -0.164, -0.182, -0.200, -0.220, -0.248, -0.292, -0.36, -0.47),
+)
+_BACK = (
+    (0.050, 0.0600, 0.0660, 0.080, 0.096, 0.108, 0.115, 0.118, 0.118, 0.116),
+    (-0.150, -0.130, -0.134, -0.144, -0.158, -0.178, -0.205, -0.250, -0.33, -0.46),
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,10 @@ def build_torso(garment: Garment) -> Torso:
     profiles = [[PchipInterpolator(_KNOTS, values)(share) for values in pair] for pair in (_SIDE, _FRONT, _BACK)]
     side = np.abs(np.sin(heading)) ** 1.6
     front, back = (1 - side) * (np.cos(heading) > 0), (1 - side) * (np.cos(heading) <= 0)
-    radius, height = (sum(weight[None] * profiles[k][which][:, None] for k, weight in enumerate((side, front, back))) for which in (0, 1))
+    radius, height = (
+        sum(weight[None] * profiles[k][which][:, None] for k, weight in enumerate((side, front, back)))
+        for which in (0, 1)
+    )
     collar = np.exp(-((share / 0.10) ** 2))[:, None]
     open_ = np.exp(-((share / 0.16) ** 2))[:, None] * front[None] ** 1.5
     height = height - garment.neckline * open_ * (1 if garment.pattern != "shirt" else 1.0)

@@ -19,7 +19,8 @@ class Fold:
 
     Attributes:
         curves: Polylines in x, y of the generic head seen from the front, left half, m.
-        drivers: Expression names (without side if `sided`) and weights; the fold's strength is their rectified, slightly quadratic sum.
+        drivers: Expression names (without side if `sided`) and weights; the fold's strength is their rectified,
+            slightly quadratic sum.
         depth: Depth of the groove at full strength, m.
         width: Half width of the groove, m.
         sided: Each half has its own strength.
@@ -36,35 +37,91 @@ class Fold:
 
 FOLDS = (
     Fold(
-        tuple(((0.0, y), (0.012, y + 0.0016), (0.026, y + 0.0005), (0.038, y - 0.004)) for y in (0.0570, 0.0645, 0.0722, 0.0800)),
-        (("brow_inner_up", 0.6), ("brow_outer_up_left", 0.3), ("brow_outer_up_right", 0.3)), 0.00075, 0.0013, sided=False, rest=0.35,
+        tuple(
+            ((0.0, y), (0.012, y + 0.0016), (0.026, y + 0.0005), (0.038, y - 0.004))
+            for y in (0.0570, 0.0645, 0.0722, 0.0800)
+        ),
+        (("brow_inner_up", 0.6), ("brow_outer_up_left", 0.3), ("brow_outer_up_right", 0.3)),
+        0.00075,
+        0.0013,
+        sided=False,
+        rest=0.35,
     ),
-    Fold((((0.0052, 0.0360), (0.0060, 0.0430), (0.0050, 0.0510)),), (("brow_down_left", 0.5), ("brow_down_right", 0.5)), 0.0009, 0.0012, sided=False, rest=0.3),
+    Fold(
+        (((0.0052, 0.0360), (0.0060, 0.0430), (0.0050, 0.0510)),),
+        (("brow_down_left", 0.5), ("brow_down_right", 0.5)),
+        0.0009,
+        0.0012,
+        sided=False,
+        rest=0.3,
+    ),
     Fold(
         (((0.0045, 0.0200), (0.0105, 0.0130)), ((0.0050, 0.0150), (0.0115, 0.0080)), ((0.0, 0.0290), (0.0080, 0.0270))),
-        (("nose_wrinkle", 1.0),), 0.0006, 0.0009, rest=0.05,
+        (("nose_wrinkle", 1.0),),
+        0.0006,
+        0.0009,
+        rest=0.05,
     ),
     Fold(
-        (((0.0495, 0.0250), (0.0590, 0.0300)), ((0.0500, 0.0225), (0.0600, 0.0220)), ((0.0490, 0.0200), (0.0580, 0.0140))),
-        (("smile", 0.45), ("cheek_squint", 0.5), ("eye_squint", 0.4)), 0.0006, 0.0010, rest=0.4,
+        (
+            ((0.0495, 0.0250), (0.0590, 0.0300)),
+            ((0.0500, 0.0225), (0.0600, 0.0220)),
+            ((0.0490, 0.0200), (0.0580, 0.0140)),
+        ),
+        (("smile", 0.45), ("cheek_squint", 0.5), ("eye_squint", 0.4)),
+        0.0006,
+        0.0010,
+        rest=0.4,
     ),
     Fold(
         (((0.0180, -0.0150), (0.0245, -0.0230), (0.0305, -0.0350), (0.0325, -0.0480), (0.0315, -0.0560)),),
-        (("smile", 0.9), ("upper_lip_raise", 0.5), ("nose_wrinkle", 0.5), ("cheek_squint", 0.2)), 0.0013, 0.0020, rest=0.35,
+        (("smile", 0.9), ("upper_lip_raise", 0.5), ("nose_wrinkle", 0.5), ("cheek_squint", 0.2)),
+        0.0013,
+        0.0020,
+        rest=0.35,
     ),
-    Fold((((0.0370, -0.0400), (0.0385, -0.0470), (0.0370, -0.0530)),), (("dimple", 1.0), ("smile", 0.3)), 0.0011, 0.0020, rest=0.1),
     Fold(
-        (((0.0170, 0.0150), (0.0240, 0.0110), (0.0330, 0.0100), (0.0420, 0.0130)), ((0.0190, 0.0110), (0.0270, 0.0065), (0.0360, 0.0070))),
-        (("cheek_squint", 0.7), ("eye_squint", 0.5), ("smile", 0.3)), 0.00055, 0.0010, rest=0.5,
+        (((0.0370, -0.0400), (0.0385, -0.0470), (0.0370, -0.0530)),),
+        (("dimple", 1.0), ("smile", 0.3)),
+        0.0011,
+        0.0020,
+        rest=0.1,
+    ),
+    Fold(
+        (
+            ((0.0170, 0.0150), (0.0240, 0.0110), (0.0330, 0.0100), (0.0420, 0.0130)),
+            ((0.0190, 0.0110), (0.0270, 0.0065), (0.0360, 0.0070)),
+        ),
+        (("cheek_squint", 0.7), ("eye_squint", 0.5), ("smile", 0.3)),
+        0.00055,
+        0.0010,
+        rest=0.5,
     ),
     Fold((((0.0275, -0.0500), (0.0300, -0.0580), (0.0290, -0.0660)),), (("frown", 1.0),), 0.0010, 0.0018, rest=0.3),
-    Fold((((0.0, -0.0620), (0.0100, -0.0615), (0.0160, -0.0640)),), (("chin_raise", 1.0),), 0.0010, 0.0020, sided=False, rest=0.2),
+    Fold(
+        (((0.0, -0.0620), (0.0100, -0.0615), (0.0160, -0.0640)),),
+        (("chin_raise", 1.0),),
+        0.0010,
+        0.0020,
+        sided=False,
+        rest=0.2,
+    ),
     Fold(
         tuple(((0.0015 + 0.0045 * i, -0.0330), (0.0012 + 0.0040 * i, -0.0385)) for i in range(5)),
-        (("pucker", 0.9), ("upper_roll_in", 0.6)), 0.0004, 0.0008, sided=False, rest=0.4,
+        (("pucker", 0.9), ("upper_roll_in", 0.6)),
+        0.0004,
+        0.0008,
+        sided=False,
+        rest=0.4,
     ),
-    Fold((((0.0200, 0.0340), (0.0310, 0.0362), (0.0420, 0.0335)),), (("brow_outer_up", 0.3), ("eye_wide", 0.5)), 0.0005, 0.0010, rest=0.9),
-)  # fmt: skip
+    Fold(
+        (((0.0200, 0.0340), (0.0310, 0.0362), (0.0420, 0.0335)),),
+        (("brow_outer_up", 0.3), ("eye_wide", 0.5)),
+        0.0005,
+        0.0010,
+        rest=0.9,
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -78,12 +135,16 @@ class Bulge:
 
 
 BULGES = (
-    Bulge((0.036, -0.012, 0.040), (0.013, 0.012, 0.02), (("smile", 0.8), ("cheek_squint", 0.5)), (0.0008, 0.0006, 0.0026)),
+    Bulge(
+        (0.036, -0.012, 0.040), (0.013, 0.012, 0.02), (("smile", 0.8), ("cheek_squint", 0.5)), (0.0008, 0.0006, 0.0026)
+    ),
     Bulge((0.044, -0.036, 0.030), (0.012, 0.014, 0.02), (("smile", 0.7), ("stretch", 0.6)), (0.0020, 0.0, -0.0006)),
     Bulge((0.012, 0.042, 0.046), (0.008, 0.007, 0.02), (("brow_down", 1.0),), (-0.0004, -0.0004, 0.0014)),
     Bulge((0.041, -0.036, 0.034), (0.020, 0.020, 0.03), (("cheek_puff", 1.0),), (0.0024, 0.0, 0.0030)),
     Bulge((0.000, -0.072, 0.053), (0.011, 0.008, 0.02), (("chin_raise", 1.0),), (0.0, 0.0, 0.0014)),
-    Bulge((0.030, 0.010, 0.040), (0.010, 0.004, 0.02), (("eye_squint", 0.7), ("cheek_squint", 0.6)), (0.0, 0.0003, 0.0010)),
+    Bulge(
+        (0.030, 0.010, 0.040), (0.010, 0.004, 0.02), (("eye_squint", 0.7), ("cheek_squint", 0.6)), (0.0, 0.0003, 0.0010)
+    ),
 )
 
 
@@ -95,7 +156,10 @@ def strength(drivers: tuple[tuple[str, float], ...], side: str, values: dict[str
 
 @dataclass(frozen=True)
 class Patch:
-    """The part of the height texture that one fold touches on one side: first row, first column, heights in m at full strength."""
+    """The part of the height texture that one fold touches on one side.
+
+    First row, first column, heights in m at full strength.
+    """
 
     fold: Fold
     side: str
