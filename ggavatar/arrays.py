@@ -185,6 +185,11 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object], durable: 
         raise
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) atomically."""
+    write_atomically(path, lambda stream: stream.write(text.encode("utf-8")))
+
+
 def _umask() -> int:
     """The process's file mode mask (the system offers no way to read it without setting it)."""
     mask = os.umask(0)

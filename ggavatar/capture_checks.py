@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import npz_headers, read_npz, write_atomically
+from ggavatar.arrays import npz_headers, read_npz, write_text
 from ggavatar.errors import InputError
 from ggavatar.pictures import picture_header
 
@@ -158,7 +158,7 @@ def _check_splits(path: Path, splits: object, frames: list[int]) -> None:
 def write_description(path: Path, fields: Mapping[str, Any]) -> None:
     """Write capture.json atomically, schema and version first."""
     text = json.dumps({"schema": SCHEMA, "version": VERSION, **fields}, ensure_ascii=False, indent=1, allow_nan=False)
-    write_atomically(path, lambda stream: stream.write(text.encode("utf-8")))
+    write_text(path, text)
 
 
 def read_tracking(path: Path) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from ggavatar.errors import InputError
 from ggavatar.pictures import write_png
 from preprocess.crop import Crop, explicit, square, square_around, whole_frame
 from preprocess.frames import open_source
-from preprocess.importing import read_foreign
+from preprocess.importing import SWAPPED_SIZE, read_foreign
 from preprocess.options import PrepOptions
 from preprocess.read_stage import selection_of
 from preprocess.record import ForeignTracking
@@ -64,7 +64,7 @@ def choose_crop(job: Job) -> Crop:
     if options.crop != "auto":
         return explicit(options.crop, width, height, options.size)
     if options.tracking is not None:
-        return _crop_for_tracking(read_foreign(options.tracking, options.format), width, height, options.size)
+        return _crop_for_tracking(read_foreign(options)[1], width, height, options.size)
     return _crop_for_faces(job, width, height)
 
 
@@ -88,14 +88,21 @@ def tracked_size_fits(record: ForeignTracking, width: int, height: int) -> bool:
     return abs(record.width * height - record.height * width) <= 0.01 * record.width * height
 
 
+def _size_mismatch(record: ForeignTracking, width: int, height: int) -> str:
+    """What to do about a tracker that saw other pictures than these."""
+    found = f"the tracking was made on {record.width}×{record.height} px images, the video has {width}×{height} px"
+    if abs(record.height * height - record.width * width) <= 0.01 * record.width * width:
+        return f"{found}: width and height are swapped in the tracking; add --fix {SWAPPED_SIZE}"
+    return (
+        f"{found}: the tracker cropped it. Give the tracker's own images as INPUT "
+        "(metrical-tracker: the folder `input` beside `checkpoint`)"
+    )
+
+
 def _crop_for_tracking(record: ForeignTracking, width: int, height: int, size: int) -> Crop:
     """The whole frame if it is square, else a square around the tracked heads."""
     if not tracked_size_fits(record, width, height):
-        raise InputError(
-            f"the tracking was made on {record.width}×{record.height} px images, the video has {width}×{height} "
-            "px: the tracker cropped it. "
-            "Give the tracker's own images as INPUT (metrical-tracker: the folder `input` beside `checkpoint`)"
-        )
+        raise InputError(_size_mismatch(record, width, height))
     if width == height:
         return whole_frame(width, height, size)
     factor = np.array([width / record.width, height / record.height])

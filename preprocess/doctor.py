@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import write_atomically
+from ggavatar.arrays import write_text
 from ggavatar.capture import Capture
 from ggavatar.head.model import HeadModel
 from preprocess import quality
-from preprocess.evidence import gather, rank
+from preprocess.evidence import Evidence, Ranking, gather, rank, rivals
 from preprocess.hypotheses import AXES, EYES, OTHERS
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
@@ -79,7 +79,7 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
     measures["other_hypotheses"] = [list(item) for item in others.scores]
     own = dict(axes.scores)["as-is"]
     measures["silhouette_iou"] = own
-    named = _convention(capture, axes, others)
+    named = _convention(axes, others) or _turning(capture, head, evidence, dict(axes.scores) | dict(others.scores))
     findings += named or _overlap(own)
     measures["lens"] = quality.lens(capture)
     findings += _lens(measures["lens"], capture, bool(named))
@@ -95,15 +95,25 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
     return Diagnosis(tuple(findings), measures)
 
 
-def _convention(capture: Capture, axes: Any, others: Any) -> list[Finding]:
+def _convention(axes: Ranking, others: Ranking) -> list[Finding]:
     """The convention the tracking was most probably written in, if not ours."""
     candidates = [ranking for ranking in (axes, others) if ranking.best is not None]
     if not candidates:
         return []
     chosen = max(candidates, key=lambda ranking: ranking.scores[0][1])
+    assert chosen.best is not None
     before, after = dict(chosen.scores)["as-is"], chosen.scores[0][1]
     message = f"{chosen.best.words}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
     return [Finding(chosen.best.name, "fault", message, f"--resume --fix {chosen.best.name}")]
+
+
+def _turning(capture: Capture, head: HeadModel, evidence: Evidence, scores: dict[str, float]) -> list[Finding]:
+    """A convention that only shows in how the face moves."""
+    rival = rivals(evidence, capture, head, scores)
+    if rival is None:
+        return []
+    message = f"{rival.words}: undoing that makes the face move with the mesh"
+    return [Finding(rival.name, "fault", message, f"--resume --fix {rival.name}")]
 
 
 def _overlap(own: float) -> list[Finding]:
@@ -151,10 +161,8 @@ def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[
 
 def _offset(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
     """Tracking that runs ahead of or behind the video."""
-    found = find_offset(
-        head, capture.tracking, capture.frames, capture.frames, lambda number: capture.mask(number) > 127
-    )
-    measures["offset_iou"] = {str(offset): score for offset, score in found.scores.items()}
+    found = find_offset(head, capture.tracking, capture.frames, capture.frames, capture.image)
+    measures["offset_change"] = {str(offset): score for offset, score in found.scores.items()}
     if found.offset == 0:
         return []
     late = "behind" if found.offset < 0 else "ahead of"
@@ -247,7 +255,7 @@ def _landmarks(error: float, capture: Capture) -> list[Finding]:
 def write_report(capture: Capture, diagnosis: Diagnosis) -> None:
     """Write doctor.json into the capture."""
     text = json.dumps(_plain(diagnosis.json()), ensure_ascii=False, indent=1, allow_nan=False)
-    write_atomically(capture.folder / REPORT, lambda stream: stream.write(text.encode()))
+    write_text(capture.folder / REPORT, text)
 
 
 def _plain(value: Any) -> Any:

@@ -11,11 +11,14 @@ from jaxtyping import Bool, Float
 
 from ggavatar.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
-from preprocess.hypotheses import Hypothesis
+from preprocess.hypotheses import AXES, OTHERS, Hypothesis
+from preprocess.pairing import picture_change
 from preprocess.posing import overlap, posed_vertices, project, silhouette
 
-SIDE = 144
-FRAMES = 20
+SIDE = 128
+FRAMES = 12
+NEARLY = 0.05
+"""Silhouettes that differ by less (IoU) leave the decision to the picture under the mesh."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,33 @@ def gather(capture: Capture, head: HeadModel) -> Evidence:
     vertices = [posed_vertices(head, capture.tracking, row) for row in rows]
     return Evidence(
         tuple(rows), tuple(vertices), tuple(masks), head.faces.numpy(), scale, (capture.width, capture.height)
+    )
+
+
+def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[str, float]) -> Hypothesis | None:
+    """A hypothesis under which the picture moves with the mesh much better, while its silhouettes are nearly as good.
+
+    Silhouettes cannot tell a head that turns left from one that turns right as well as the face can.
+    """
+    frames, now = capture.frames, capture.tracking
+    own = picture_change(head, now, frames, capture.image)
+    found: tuple[float, Hypothesis] | None = None
+    for hypothesis in (*AXES[1:], *OTHERS):
+        corrected = hypothesis.correct(now, capture.width, capture.height)
+        if scores[hypothesis.name] < scores["as-is"] - NEARLY or _same_cameras(now, corrected):
+            continue
+        lead = own - picture_change(head, corrected, frames, capture.image)
+        lead = lead[np.isfinite(lead)]
+        if len(lead) < 4 or lead.mean() < max(0.15 * np.nanmean(own), 3 * lead.std() / np.sqrt(len(lead))):
+            continue
+        if found is None or lead.mean() > found[0]:
+            found = (float(lead.mean()), hypothesis)
+    return found[1] if found else None
+
+
+def _same_cameras(left: Tracking, right: Tracking) -> bool:
+    return np.allclose(left.intrinsics, right.intrinsics) and np.allclose(
+        left.world_to_camera, right.world_to_camera, atol=1e-6
     )
 
 

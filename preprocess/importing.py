@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import pkgutil
 from pathlib import Path
@@ -9,7 +10,11 @@ from typing import Protocol, cast, runtime_checkable
 
 import preprocess.importers
 from ggavatar.errors import InputError
+from preprocess.options import PrepOptions
 from preprocess.record import ForeignTracking
+
+SWAPPED_SIZE = "swapped-size"
+"""The `--fix` that must be applied before the crop is chosen."""
 
 
 @runtime_checkable
@@ -61,6 +66,13 @@ def detect_format(folder: Path) -> str:
     raise InputError(f"{folder}: {what}")
 
 
-def read_foreign(folder: Path, name: str = "auto") -> ForeignTracking:
-    """Read another tool's tracking, detecting its format unless it is named."""
-    return importer(detect_format(folder) if name == "auto" else name).read(folder)
+def read_foreign(options: PrepOptions) -> tuple[str, ForeignTracking]:
+    """Read the tracking that `--tracking` names; also gives the format's name, detected unless `--format` says it."""
+    folder = options.tracking
+    if folder is None:
+        raise InputError("--tracking is not given")
+    name = detect_format(folder) if options.format == "auto" else options.format
+    record = importer(name).read(folder)
+    if SWAPPED_SIZE in options.fix:
+        record = dataclasses.replace(record, width=record.height, height=record.width)
+    return name, record

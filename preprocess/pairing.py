@@ -1,7 +1,9 @@
-"""Which frame of the video a tracked frame belongs to, found by laying the projected mesh over the masks.
+"""Which frame of the video a tracked frame belongs to, found by how well the mesh carries the picture along.
 
 Trackers count from 0 or 1 and may drop leading frames, so the numbers alone do not tell (metrical-tracker's `.frame`
-k is image k of its own `input` folder, but k + 1 of the frames FlashAvatar extracts).
+k is image k of its own `input` folder, but k + 1 of the frames FlashAvatar extracts). Silhouettes hardly change from
+one frame to the next, and hair and shoulders hide what changes. A point of the face, however, keeps its brightness
+while it moves: with the right pairing the brightness under the projected vertices changes least.
 """
 
 from __future__ import annotations
@@ -9,31 +11,36 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float, UInt8
 
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from preprocess.posing import overlap, tracked_silhouette
+from preprocess.posing import posed_vertices, project
 
-SIDE = 160
-"""Size of the pictures that are compared, px."""
+PAIRS = 120
+"""How many pairs of frames are compared, those between which the head moves most."""
 
-FRAMES = 48
-"""How many frames are compared."""
+STEP = 4
+"""Frames from the first of a pair to the second; long enough for motion to outweigh a tracker's jitter."""
 
-CLEAR_LEAD = 5e-4
-"""By how much (IoU) a pairing must beat the one the numbers suggest."""
+VERTICES = 1500
+"""About how many vertices of the face are looked at."""
+
+CLEAR_LEAD, CLEAR_ERRORS = 0.02, 2.5
+"""By how much (relative, and in standard errors) a pairing must beat the one that the numbers suggest."""
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """An offset and how sure it is.
+    """An offset and what speaks for it.
 
     Attributes:
         offset: Source frame number minus tracking number.
-        scores: Mean IoU around the head by offset; empty if nothing was compared.
+        scores: Mean change of brightness (8-bit steps) under the mesh by offset, the least is best; empty if nothing
+            could be compared.
         suggested: The offset that the numbers alone suggest.
     """
 
@@ -45,8 +52,7 @@ class Pairing:
 def suggested_offset(numbers: Sequence[int], frames: Sequence[int]) -> int:
     """The smallest offset that gives the most frames a tracking; 0 wherever it loses nothing."""
     known = set(numbers)
-    first = frames[0] - numbers[0]
-    candidates = sorted({0, 1, -1, 2, -2, first}, key=abs)
+    candidates = sorted({0, 1, -1, 2, -2, frames[0] - numbers[0]}, key=abs)
     return max(candidates, key=lambda offset: sum(frame - offset in known for frame in frames))
 
 
@@ -55,87 +61,116 @@ def find_offset(
     tracking: Tracking,
     numbers: Sequence[int],
     frames: Sequence[int],
-    mask: Callable[[int], Bool[np.ndarray, "H W"]],
+    image: Callable[[int], UInt8[np.ndarray, "H W 3"]],
 ) -> Pairing:
-    """Compare silhouettes with masks at offsets −2 … +2 around the suggested one.
+    """Compare offsets −2 … +2 around the suggested one.
 
     Args:
         head: The head.
         tracking: Rows in the tracker's order, intrinsics in px of the capture.
         numbers: The tracker's frame numbers, one a row.
-        frames: Source frame numbers that have masks.
-        mask: Foreground of a source frame at the capture's size.
+        frames: Source frame numbers, ascending.
+        image: Reads a source frame at the capture's size.
 
     Raises:
         InputError: No offset gives any frame a tracking.
     """
     suggested = suggested_offset(numbers, frames)
     row_of = {number: row for row, number in enumerate(numbers)}
-    offsets = [suggested + step for step in (-2, -1, 0, 1, 2)]
     if not any(frame - suggested in row_of for frame in frames):
         raise InputError(
             f"the tracking has frames {numbers[0]} … {numbers[-1]}, the video {frames[0]} … {frames[-1]}: none in "
             "common"
         )
+    offsets = [suggested + step for step in (-2, -1, 0, 1, 2)]
     usable = [frame for frame in frames if all(frame - offset in row_of for offset in offsets)]
-    chosen = _moving([row_of[frame - suggested] for frame in usable], tracking)
-    if not chosen:
+    pairs = _moving_pairs(usable, tracking, {frame: row_of[frame - suggested] for frame in usable})
+    if len(pairs) < 4:
         return Pairing(suggested, {}, suggested)
-    scores = _scores(head, tracking, [usable[index] for index in chosen], offsets, row_of, mask)
-    best = max(offsets, key=lambda offset: scores[offset])
-    clear = scores[best] > scores[suggested] + CLEAR_LEAD
-    return Pairing(best if clear else suggested, scores, suggested)
-
-
-def _scores(
-    head: HeadModel,
-    tracking: Tracking,
-    frames: Sequence[int],
-    offsets: Sequence[int],
-    row_of: dict[int, int],
-    mask: Callable[[int], np.ndarray],
-) -> dict[int, float]:
-    """Mean overlap of every offset over the same frames."""
-    drawn: dict[int, np.ndarray] = {}
-    totals = dict.fromkeys(offsets, 0.0)
-    for frame in frames:
-        seen = mask(frame)
-        scale = SIDE / max(seen.shape)
-        size = (max(1, round(seen.shape[1] * scale)), max(1, round(seen.shape[0] * scale)))
-        small = _shrunk(seen, size)
-        for offset in offsets:
-            row = row_of[frame - offset]
-            if row not in drawn:
-                drawn[row] = tracked_silhouette(head, tracking, row, size, scale)
-            totals[offset] += _head_overlap(drawn[row], small)
-    return {offset: total / len(frames) for offset, total in totals.items()}
-
-
-def _shrunk(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    import cv2
-
-    return cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
-
-
-def _head_overlap(drawn: np.ndarray, seen: np.ndarray) -> float:
-    """Overlap within a box around the mesh; shoulders and arms farther off have no say."""
-    rows, columns = np.flatnonzero(drawn.any(axis=1)), np.flatnonzero(drawn.any(axis=0))
-    if not len(rows):
-        return 0.0
-    margin = max(2, (rows[-1] - rows[0]) // 8)
-    box = np.s_[max(0, rows[0] - margin) : rows[-1] + 1, max(0, columns[0] - margin) : columns[-1] + margin]
-    return overlap(drawn[box], seen[box])
-
-
-def _moving(rows: Sequence[int], tracking: Tracking) -> list[int]:
-    """Indices of the frames in which the head moves most, where a wrong pairing shows."""
-    poses = tracking.world_to_camera
-    ahead, behind = np.minimum(np.array(rows, int) + 1, len(poses) - 1), np.maximum(np.array(rows, int) - 1, 0)
-    turned = np.abs(poses[ahead, :3, :3] - poses[behind, :3, :3]).sum(axis=(1, 2))
-    depth = np.maximum(np.abs(poses[rows, 2, 3]), 1e-3)
-    moved = np.abs(poses[ahead, :3, 3] - poses[behind, :3, 3]).sum(axis=1) / depth
-    moved = moved + np.abs(tracking.translation[ahead] - tracking.translation[behind]).sum(axis=1) / depth
-    turned = turned + np.abs(tracking.joint_rotations[ahead, :2] - tracking.joint_rotations[behind, :2]).sum(
-        axis=(1, 2)
+    carried = _CarriedPicture(head, tracking, image)
+    changes = {
+        offset: np.array(
+            [carried.change(first, second, row_of[first - offset], row_of[second - offset]) for first, second in pairs]
+        )
+        for offset in offsets
+    }
+    return Pairing(
+        _decide(changes, suggested), {offset: float(np.nanmean(found)) for offset, found in changes.items()}, suggested
     )
-    return sorted(int(index) for index in np.argsort(-(0.1 * turned + moved), kind="stable")[:FRAMES])
+
+
+def picture_change(
+    head: HeadModel, tracking: Tracking, frames: Sequence[int], image: Callable[[int], UInt8[np.ndarray, "H W 3"]]
+) -> Float[np.ndarray, " N"]:
+    """Change of brightness under the mesh (8-bit steps) between moving pairs of a capture's frames.
+
+    Small if the tracking is right.
+    """
+    row_of = {frame: row for row, frame in enumerate(frames)}
+    carried = _CarriedPicture(head, tracking, image)
+    pairs = _moving_pairs(frames, tracking, row_of)[:: max(1, PAIRS // 40)]
+    return np.array([carried.change(first, second, row_of[first], row_of[second]) for first, second in pairs])
+
+
+def _decide(changes: dict[int, Float[np.ndarray, " N"]], suggested: int) -> int:
+    """The offset with the least change if it is clearly better than the suggested one."""
+    best = min(changes, key=lambda offset: float(np.nanmean(changes[offset])))
+    lead = changes[suggested] - changes[best]
+    lead = lead[np.isfinite(lead)]
+    if not len(lead) or best == suggested:
+        return suggested
+    error = float(lead.std() / np.sqrt(len(lead)))
+    clear = lead.mean() > max(CLEAR_LEAD * float(np.nanmean(changes[suggested])), CLEAR_ERRORS * error)
+    return best if clear else suggested
+
+
+def _moving_pairs(frames: Sequence[int], tracking: Tracking, row_of: dict[int, int]) -> list[tuple[int, int]]:
+    """Pairs of frames, `STEP` apart, between which the head moves most in the picture."""
+    known = set(frames)
+    pairs = [(frame, frame + STEP) for frame in frames if frame + STEP in known]
+    if not pairs:
+        return []
+    first, second = (np.array([row_of[pair[side]] for pair in pairs]) for side in (0, 1))
+    poses = tracking.world_to_camera
+    turned = np.abs(poses[second, :3, :3] - poses[first, :3, :3]).sum(axis=(1, 2))
+    turned += np.abs(tracking.joint_rotations[second] - tracking.joint_rotations[first]).sum(axis=(1, 2))
+    moved = np.abs(poses[second, :3, 3] - poses[first, :3, 3]).sum(axis=1)
+    moved += np.abs(tracking.translation[second] - tracking.translation[first]).sum(axis=1)
+    order = np.argsort(-(0.1 * turned + moved), kind="stable")[:PAIRS]
+    return [pairs[index] for index in sorted(order.tolist())]
+
+
+class _CarriedPicture:
+    """Brightness under the vertices of the face; projections and pictures are kept while they are needed."""
+
+    def __init__(self, head: HeadModel, tracking: Tracking, image: Callable[[int], np.ndarray]) -> None:
+        self._head, self._tracking, self._image = head, tracking, image
+        depth = head.template[:, 2].numpy()
+        front = np.flatnonzero(depth > depth.min() + 0.6 * (depth.max() - depth.min()))
+        self._vertices = front[:: max(1, len(front) // VERTICES)]
+        self._projected: dict[int, np.ndarray] = {}
+        self._pictures: dict[int, np.ndarray] = {}
+
+    def change(self, first: int, second: int, first_row: int, second_row: int) -> float:
+        """Mean absolute difference between two frames, each seen through a row of the tracking.
+
+        NaN if the face is not in the picture.
+        """
+        before, after = self._under(first, first_row), self._under(second, second_row)
+        both = (before >= 0) & (after >= 0)
+        return float(np.abs(before - after)[both].mean()) if both.any() else float("nan")
+
+    def _under(self, frame: int, row: int) -> Float[np.ndarray, " N"]:
+        """Brightness at the projected vertices; negative outside the picture."""
+        if row not in self._projected:
+            vertices = posed_vertices(self._head, self._tracking, row)[self._vertices]
+            pixels, _ = project(vertices, self._tracking.intrinsics[row], self._tracking.world_to_camera[row])
+            self._projected[row] = np.clip(pixels, -1e4, 1e4).astype(np.float32) - np.float32(0.5)
+        if frame not in self._pictures:
+            grey = cv2.cvtColor(self._image(frame), cv2.COLOR_RGB2GRAY)
+            self._pictures[frame] = cv2.GaussianBlur(grey, (0, 0), max(grey.shape) / 170)
+        place = self._projected[row]
+        picture = self._pictures[frame].astype(np.float32)
+        return cv2.remap(
+            picture, place[:, :1], place[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e4
+        ).ravel()

@@ -12,6 +12,7 @@ from ggavatar.core import Drive
 from ggavatar.head.model import HeadModel
 
 _SUBPIXEL_BITS = 4
+LARGE = 24
 
 
 def drive_of(tracking: Tracking, row: int) -> Drive:
@@ -62,25 +63,34 @@ def silhouette(
     width, height = size
     picture = np.zeros((height, width), np.uint8)
     corners = pixels[faces]
-    margin = 4 * max(width, height)
-    kept = (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < margin).all(axis=(1, 2))
     low, high = corners.min(axis=1), corners.max(axis=1)
+    kept = (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < 4 * max(width, height)).all(axis=(1, 2))
     kept &= (high > 0).all(axis=1) & (low < [width, height]).all(axis=1)
-    # OpenCV counts from pixel centres, we count from the image's corner.
-    fixed = np.round((corners[kept] - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32)
-    for triangle in fixed:
-        cv2.fillConvexPoly(picture, triangle, 255, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+    corners = corners[kept]
+    samples = np.ceil(1.5 * (high - low)[kept].max(axis=1, initial=0)).astype(int).clip(1)
+    for count in np.unique(samples).tolist():
+        group = corners[samples == count]
+        if count > LARGE:
+            _fill(picture, group)
+        else:
+            _sample(picture, group, count)
     return picture > 0
 
 
-def tracked_silhouette(
-    head: HeadModel, tracking: Tracking, row: int, size: tuple[int, int], scale: float
-) -> Bool[np.ndarray, "H W"]:
-    """Silhouette of one frame's mesh in a picture of `size` px that is `scale` times the capture's."""
-    pixels, depth = project(
-        posed_vertices(head, tracking, row), tracking.intrinsics[row], tracking.world_to_camera[row]
-    )
-    return silhouette(pixels * scale, depth, head.faces.numpy(), size)
+def _fill(picture: np.ndarray, corners: Float[np.ndarray, "F 3 2"]) -> None:
+    """Fill triangles one by one. OpenCV counts from pixel centres, we count from the image's corner."""
+    for triangle in np.round((corners - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32):
+        cv2.fillConvexPoly(picture, triangle, 255, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+
+
+def _sample(picture: np.ndarray, corners: Float[np.ndarray, "F 3 2"], count: int) -> None:
+    """Fill small triangles all at once, by points less than a pixel apart."""
+    first, second = (axis.ravel() for axis in np.meshgrid(np.arange(count + 1), np.arange(count + 1)))
+    inside = first + second <= count
+    weights = np.stack((first, second, count - first - second))[:, inside] / count
+    points = np.floor(np.einsum("cp,fcd->fpd", weights, corners)).astype(int).reshape(-1, 2)
+    points = points[((points >= 0) & (points < picture.shape[::-1])).all(axis=1)]
+    picture[points[:, 1], points[:, 0]] = 255
 
 
 def overlap(left: Bool[np.ndarray, "H W"], right: Bool[np.ndarray, "H W"]) -> float:

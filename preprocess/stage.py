@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from ggavatar.arrays import write_atomically
+from ggavatar.arrays import write_text
 from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
 from preprocess.options import PrepOptions
@@ -116,4 +116,4 @@ def write_record(folder: Path, stage: Stage, wanted: str, result: Mapping[str, A
     """Note that a stage has begun (no result) or ended."""
     record = {"fingerprint": wanted} | ({} if result is None else {"result": dict(result)})
     text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
-    write_atomically(_record_path(folder, stage), lambda stream: stream.write(text.encode()))
+    write_text(_record_path(folder, stage), text)

@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
+import torch
 
 from ggavatar.arrays import write_npz
 from ggavatar.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
+from ggavatar.head.model import HeadModel
 from ggavatar.pictures import read_grey, read_rgb
 from preprocess.crop import crop_from_json
 from preprocess.hypotheses import apply_fixes
-from preprocess.importing import detect_format, importer
+from preprocess.importing import SWAPPED_SIZE, read_foreign
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
 from preprocess.record import FLAME_JOINTS, ForeignTracking
@@ -84,13 +86,12 @@ class PicturesOnDisk(Sequence[np.ndarray]):
 def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
     """Another tracker's output: fitted to the head, moved to the capture's pixels and paired with its frames."""
     options = job.options
-    assert options.tracking is not None
-    name = detect_format(options.tracking) if options.format == "auto" else options.format
-    record = importer(name).read(options.tracking)
+    name, record = read_foreign(options)
     head, version_note = _head(options, record)
     crop = crop_from_json(dict(job.results["crop"]["crop"]))
     tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, job)
-    tracking = apply_fixes(tracking, options.fix, crop.out_width, crop.out_height)
+    fixes = [fix for fix in options.fix if fix != SWAPPED_SIZE]
+    tracking = apply_fixes(tracking, fixes, crop.out_width, crop.out_height)
     known = [int(number) for number in record.numbers]
     offset, pairing = _offset(job, head, tracking, known, numbers)
     row_of = {number: row for row, number in enumerate(known)}
@@ -111,7 +112,8 @@ def _warnings(record: ForeignTracking, pairing: Mapping[str, Any], lost: int) ->
     warnings = list(record.notes)
     if pairing.get("offset") != pairing.get("suggested"):
         warnings.append(
-            f"frame k of the tracking belongs to frame k{pairing['offset']:+d} of the video, as the masks show"
+            f"frame k of the tracking belongs to frame k{pairing['offset']:+d} of the video, as the picture under "
+            "the mesh shows"
         )
     if lost:
         warnings.append(f"{lost} frames have no tracking and are left out")
@@ -121,15 +123,15 @@ def _warnings(record: ForeignTracking, pairing: Mapping[str, Any], lost: int) ->
 def _offset(
     job: Job, head: Any, tracking: Tracking, known: list[int], numbers: list[int]
 ) -> tuple[int, dict[str, Any]]:
-    """The frame offset asked for, or found by the masks."""
+    """The frame offset asked for, or found by comparing pictures."""
     asked = job.options.frame_offset
     if asked is not None:
         return asked, {"offset": asked, "suggested": asked, "scores": {}}
 
-    def mask(number: int) -> np.ndarray:
-        return read_grey(job.folder / "masks" / f"{number:06d}.png") > 127
+    def image(number: int) -> np.ndarray:
+        return read_rgb(job.folder / "images" / f"{number:06d}.png")
 
-    found = find_offset(head, tracking, known, numbers, mask)
+    found = find_offset(head, tracking, known, numbers, image)
     scores = {str(offset): round(score, 5) for offset, score in found.scores.items()}
     return found.offset, {"offset": found.offset, "suggested": found.suggested, "scores": scores}
 
@@ -146,7 +148,7 @@ def _head(options: PrepOptions, record: ForeignTracking) -> tuple[Any, list[str]
         raise InputError(f"{path}: no such head model file")
     if not is_flame(path):
         return load_head(path), []
-    head = load_flame(path, record.shape, expressions=max(1, record.expression.shape[1]))
+    head = with_static_offset(load_flame(path, record.shape, expressions=max(1, record.expression.shape[1])), record)
     if record.version is not None and head.version != record.version:
         raise InputError(
             f"{path} is {head.version}, but the tracking's coefficients belong to {record.version}; they are not "
@@ -154,6 +156,20 @@ def _head(options: PrepOptions, record: ForeignTracking) -> tuple[Any, list[str]
             f"Give the {record.version} file with --head-model"
         )
     return head, []
+
+
+def with_static_offset(head: HeadModel, record: ForeignTracking) -> HeadModel:
+    """The head with the tracker's per-vertex offsets (VHAP) folded into its template.
+
+    Vertices FLAME does not have are left out.
+    """
+    offset = record.extra.get("static_offset")
+    if offset is None:
+        return head
+    count = min(len(head.template), len(offset))
+    template = head.template.clone()
+    template[:count] += torch.from_numpy(np.asarray(offset[:count], dtype=np.float32))
+    return dataclasses.replace(head, template=template)
 
 
 def to_tracking(record: ForeignTracking, expressions: int, joint_names: tuple[str, ...], job: Job) -> Tracking:

@@ -1,0 +1,91 @@
+"""NeRFBlendShape: transforms.json with OpenGL cameras and 46 blendshape coefficients of its own, which are not FLAME's.
+
+Its pixel coordinates are whole numbers at pixel centres, so half a pixel is added to the principal point. The head
+model of these coefficients is not part of the data set: the usual way is to track the video again.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ggavatar.arrays import write_text
+from ggavatar.capture_checks import read_json
+from ggavatar.errors import InputError
+from preprocess.foreign_json import (
+    array,
+    camera_matrix,
+    camera_to_world_gl,
+    frame_list,
+    image_size,
+    number,
+    world_to_camera_gl,
+)
+from preprocess.record import ForeignTracking, require_finite
+
+TITLE = "NeRFBlendShape: transforms.json with exp_ori (not FLAME)"
+
+
+def recognises(folder: Path) -> bool:
+    """Whether transforms.json has frames with img_id and exp_ori."""
+    path = folder / "transforms.json"
+    try:
+        frames = read_json(path).get("frames") if path.is_file() else None
+    except InputError:
+        return False
+    first = frames[0] if isinstance(frames, list) and frames else None
+    return isinstance(first, dict) and "img_id" in first and "exp_ori" in first
+
+
+def read(folder: Path) -> ForeignTracking:
+    """Read cameras and coefficients; `InputError` naming the file for anything wrong."""
+    path = folder / "transforms.json"
+    data = read_json(path)
+    frames = {}
+    for frame in frame_list(path, data):
+        step = frame.get("img_id")
+        if type(step) is not int or not 0 <= step < 1 << 31:
+            raise InputError(f"{path}: expected 'img_id' to be a whole number, found {step!r:.60}")
+        frames[step] = frame
+    numbers, count = sorted(frames), len(frames)
+    width, height = image_size(path, data)
+    focal_x, focal_y, center_x, center_y = (number(path, data, key) for key in ("fx", "fy", "cx", "cy"))
+    matrices = [array(path, frames[step].get("transform_matrix"), (4, 4), "'transform_matrix'") for step in numbers]
+    expression = [array(path, frames[step].get("exp_ori"), (None,), "'exp_ori'") for step in numbers]
+    if len({len(values) for values in expression}) != 1:
+        raise InputError(f"{path}: frames have different numbers of coefficients in 'exp_ori'")
+    record = ForeignTracking(
+        numbers=np.array(numbers, dtype=np.int64),
+        width=width,
+        height=height,
+        intrinsics=np.tile(camera_matrix(focal_x, focal_y, center_x + 0.5, center_y + 0.5), (count, 1, 1)),
+        world_to_camera=np.stack([camera_to_world_gl(matrix) for matrix in matrices]),
+        expression=np.stack(expression),
+        joint_rotations=np.zeros((count, 5, 3)),
+        eyelids=np.zeros((count, 2)),
+        translation=np.zeros((count, 3)),
+        version=None,
+        notes=("NeRFBlendShape's coefficients are not FLAME's; without their own head model, track the video again",),
+    )
+    return require_finite(folder, record)
+
+
+def write(folder: Path, record: ForeignTracking) -> None:
+    """Write transforms.json."""
+    intrinsics = record.intrinsics[0]
+    frames = [
+        {
+            "img_id": step,
+            "transform_matrix": world_to_camera_gl(record.world_to_camera[row]).tolist(),
+            "exp_ori": record.expression[row].tolist(),
+        }
+        for row, step in enumerate(record.numbers.tolist())
+    ]
+    shared = {
+        "h": record.height, "w": record.width, "fx": float(intrinsics[0, 0]), "fy": float(intrinsics[1, 1]),
+        "cx": float(intrinsics[0, 2]) - 0.5, "cy": float(intrinsics[1, 2]) - 0.5,
+    }  # fmt: skip
+    text = json.dumps(shared | {"frames": frames}, indent=1)
+    write_text(folder / "transforms.json", text)

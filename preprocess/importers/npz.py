@@ -1,0 +1,83 @@
+"""Plain npz: the arrays of our own tracking.npz, with `frames`, `width` and `height` beside them.
+
+For trackers of one's own.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ggavatar.arrays import npz_headers, read_npz, write_npz
+from ggavatar.capture_checks import check_tracking, read_tracking
+from ggavatar.errors import InputError
+from preprocess.record import ForeignTracking, require_finite
+
+TITLE = (
+    "plain npz: intrinsics, world_to_camera, expression, joint_rotations, eyelids, translation, frames, width, height"
+)
+
+
+def recognises(folder: Path) -> bool:
+    """Whether it is an npz file with our names in it."""
+    if folder.suffix.lower() != ".npz" or not folder.is_file():
+        return False
+    try:
+        return "world_to_camera" in npz_headers(folder)
+    except InputError:
+        return False
+
+
+def read(folder: Path) -> ForeignTracking:
+    """Read the file; `version` (unicode) may name FLAME's version."""
+    arrays = read_tracking(folder)
+    count = arrays["intrinsics"].shape[0]
+    check_tracking(folder, arrays, count)
+    if arrays["joint_rotations"].shape[1] != 5:
+        raise InputError(f"{folder}: expected rotations of 5 joints (root, neck, jaw, left eye, right eye)")
+    extra = read_npz(folder, ["frames", "width", "height", "version"])
+    width, height = (_size(folder, extra, key) for key in ("width", "height"))
+    numbers = extra.get("frames", np.arange(count))
+    if (
+        numbers.shape != (count,)
+        or numbers.dtype.kind not in "iu"
+        or np.any(np.diff(numbers) <= 0)
+        or numbers.min(initial=0) < 0
+    ):
+        raise InputError(f"{folder}: expected 'frames' to be {count} ascending frame numbers")
+    names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
+    values = {name: arrays[name].astype(np.float64) for name in names}
+    record = ForeignTracking(
+        numbers=numbers.astype(np.int64),
+        width=width,
+        height=height,
+        intrinsics=values["intrinsics"],
+        world_to_camera=values["world_to_camera"],
+        expression=values["expression"],
+        joint_rotations=values["joint_rotations"],
+        eyelids=values["eyelids"],
+        translation=values["translation"],
+        shape=arrays["shape"].astype(np.float64) if "shape" in arrays else None,
+        version=str(extra["version"]) if "version" in extra else None,
+    )
+    return require_finite(folder, record)
+
+
+def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:
+    value = arrays.get(key)
+    if value is None or value.shape != () or value.dtype.kind not in "iu" or not 1 <= int(value) <= 16384:
+        raise InputError(f"{path}: expected {key!r}, the size in px of the images the intrinsics belong to")
+    return int(value)
+
+
+def write(folder: Path, record: ForeignTracking) -> None:
+    """Write the file."""
+    names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
+    arrays = {name: getattr(record, name) for name in names}
+    arrays |= {"frames": record.numbers, "width": np.array(record.width), "height": np.array(record.height)}
+    if record.shape is not None:
+        arrays["shape"] = record.shape
+    if record.version is not None:
+        arrays["version"] = np.array(record.version)
+    write_npz(folder, arrays)

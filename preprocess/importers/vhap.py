@@ -1,0 +1,223 @@
+"""VHAP's export, which GaussianAvatars reads: transforms.json with OpenGL cameras, one flame_param npz a timestep.
+
+FLAME 2023; the head is posed by FLAME's own rotation and translation. Of several cameras the first is read. Teeth and
+per-frame offsets are left out, static offsets are kept for the head.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggavatar.arrays import read_npz, write_npz, write_text
+from ggavatar.capture_checks import read_json
+from ggavatar.errors import InputError
+from preprocess.foreign_json import (
+    array,
+    camera_matrix,
+    camera_to_world_gl,
+    frame_list,
+    image_size,
+    inside,
+    number,
+    world_to_camera_gl,
+)  # fmt: skip
+from preprocess.record import ForeignTracking, require_finite
+
+TITLE = "VHAP export / GaussianAvatars: transforms.json with flame_param/%05d.npz"
+_KEYS = (
+    "translation",
+    "rotation",
+    "neck_pose",
+    "jaw_pose",
+    "eyes_pose",
+    "expr",
+    "shape",
+    "static_offset",
+    "dynamic_offset",
+)
+_SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
+
+
+def recognises(folder: Path) -> bool:
+    """Whether transforms.json and flame_param are there."""
+    return (folder / "flame_param").is_dir() and any(
+        (folder / name).is_file() for name in ("transforms.json", *_SPLITS)
+    )
+
+
+def read(folder: Path) -> ForeignTracking:
+    """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
+    frames, source = _frames(folder)
+    camera = min((frame.get("camera_index", 0) for frame in frames), key=str)
+    cameras = {str(frame.get("camera_index", 0)) for frame in frames}
+    chosen = {_timestep(source, frame): frame for frame in frames if frame.get("camera_index", 0) == camera}
+    numbers = sorted(chosen)
+    width, height = image_size(source, chosen[numbers[0]])
+    parameters = [_parameters(inside(source, chosen[timestep].get("flame_param_path"))) for timestep in numbers]
+    notes = [f"camera {camera} of {len(cameras)} is used"] if len(cameras) > 1 else []
+    if any(np.any(values["dynamic_offset"]) for values in parameters if "dynamic_offset" in values):
+        notes.append("per-frame offsets of VHAP are left out")
+    offset = parameters[0].get("static_offset")
+    poses = [
+        camera_to_world_gl(array(source, chosen[step].get("transform_matrix"), (4, 4), "'transform_matrix'"))
+        for step in numbers
+    ]
+    record = ForeignTracking(
+        numbers=np.array(numbers, dtype=np.int64),
+        width=width,
+        height=height,
+        intrinsics=np.stack([_intrinsics(source, chosen[step]) for step in numbers]),
+        world_to_camera=np.stack(poses),
+        expression=np.stack([values["expr"].reshape(-1) for values in parameters]),
+        joint_rotations=np.stack([_joints(values) for values in parameters]),
+        eyelids=np.zeros((len(numbers), 2)),
+        translation=np.stack([values["translation"].reshape(3) for values in parameters]),
+        shape=parameters[0]["shape"].reshape(-1),
+        version="flame2023",
+        notes=tuple(notes),
+        extra={"static_offset": offset[0]} if offset is not None and np.any(offset) else {},
+    )
+    return require_finite(folder, record)
+
+
+def _frames(folder: Path) -> tuple[list[Mapping[str, Any]], Path]:
+    """All frames, with the values shared at the top filled in."""
+    paths = (
+        [folder / "transforms.json"] if (folder / "transforms.json").is_file() else [folder / name for name in _SPLITS]
+    )
+    frames: list[Mapping[str, Any]] = []
+    for path in paths:
+        if path.is_file():
+            data = read_json(path)
+            shared = {key: data[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy") if key in data}
+            if data.get("frames"):
+                frames += [shared | dict(frame) for frame in frame_list(path, data)]
+    if not frames:
+        raise InputError(f"{folder}: no frames in transforms.json")
+    return frames, paths[0]
+
+
+def _timestep(path: Path, frame: Mapping[str, Any]) -> int:
+    value = frame.get("timestep_index")
+    if type(value) is not int or not 0 <= value < 1 << 31:
+        raise InputError(f"{path}: expected 'timestep_index' to be a whole number, found {value!r:.60}")
+    return value
+
+
+def _intrinsics(path: Path, frame: Mapping[str, Any]) -> np.ndarray:
+    return camera_matrix(*(number(path, frame, key) for key in ("fl_x", "fl_y", "cx", "cy")))
+
+
+def _parameters(path: Path) -> dict[str, np.ndarray]:
+    """One flame_param file."""
+    values = read_npz(path, _KEYS)
+    sizes = {
+        "translation": 3,
+        "rotation": 3,
+        "neck_pose": 3,
+        "jaw_pose": 3,
+        "eyes_pose": 6,
+        "expr": None,
+        "shape": None,
+    }
+    for key, size in sizes.items():
+        found = values.get(key)
+        if (
+            found is None
+            or found.dtype.kind != "f"
+            or (size is not None and found.size != size)
+            or not 1 <= found.size <= 1000
+        ):
+            shape = None if found is None else found.shape
+            raise InputError(f"{path}: expected {key!r} with {size or 'up to 1000'} numbers, found {shape}")
+    offset = values.get("static_offset")
+    if offset is not None and (offset.ndim != 3 or offset.shape[::2] != (1, 3) or offset.dtype.kind != "f"):
+        raise InputError(f"{path}: expected 'static_offset' of shape (1, V, 3), found {offset.shape}")
+    return {key: value.astype(np.float64) for key, value in values.items()}
+
+
+def _joints(values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Root, neck, jaw, left eye, right eye."""
+    names = ("rotation", "neck_pose", "jaw_pose", "eyes_pose")
+    return np.concatenate([values[name].reshape(-1, 3) for name in names])
+
+
+def write(folder: Path, record: ForeignTracking) -> None:
+    """Write transforms.json, its splits and flame_param as VHAP does: the first 70 % train, the rest tests.
+
+    GaussianAvatars ignores the principal point: give it images whose centre it is.
+    """
+    (folder / "flame_param").mkdir(parents=True, exist_ok=True)
+    offset = record.extra.get("static_offset")
+    static = np.zeros((1, 5143, 3), np.float32) if offset is None else np.asarray(offset, np.float32)[None]
+    frames = []
+    for row, step in enumerate(record.numbers.tolist()):
+        write_npz(folder / "flame_param" / f"{step:05d}.npz", _flame_arrays(record, row, static))
+        frames.append(_frame(record, row, step))
+    still = {
+        key: np.zeros_like(value) if key in _STILL else value for key, value in _flame_arrays(record, 0, static).items()
+    }
+    write_npz(folder / "canonical_flame_param.npz", still | {"jaw_pose": np.array([[0.3, 0, 0]])})
+    train = -(-7 * len(frames) // 10)
+    parts = {
+        "": frames,
+        "_backup": frames,
+        "_backup_flame": frames,
+        "_train": frames[:train],
+        "_val": [],
+        "_test": frames[train:],
+    }
+    for suffix, part in parts.items():
+        text = json.dumps(
+            {"frames": part, "timestep_indices": record.numbers.tolist(), "camera_indices": [0]}, indent=1
+        )
+        write_text(folder / f"transforms{suffix}.json", text)
+
+
+_STILL = frozenset({"translation", "rotation", "neck_pose", "eyes_pose", "expr"})
+
+
+def _flame_arrays(record: ForeignTracking, row: int, static: np.ndarray) -> dict[str, np.ndarray]:
+    joints = record.joint_rotations[row]
+    shape = record.shape if record.shape is not None else np.zeros(300)
+    return {
+        "translation": record.translation[row][None],
+        "rotation": joints[0][None],
+        "neck_pose": joints[1][None],
+        "jaw_pose": joints[2][None],
+        "eyes_pose": joints[3:].reshape(1, 6),
+        "shape": np.pad(shape, (0, max(0, 300 - len(shape)))),
+        "expr": np.pad(record.expression[row], (0, max(0, 100 - record.expression.shape[1])))[None],
+        "static_offset": static,
+    }
+
+
+def _frame(record: ForeignTracking, row: int, step: int) -> dict[str, Any]:
+    """One entry of transforms.json."""
+    intrinsics = record.intrinsics[row]
+    focal = intrinsics[[0, 1], [0, 1]]
+    angles = 2 * np.arctan(np.array([record.width, record.height]) / (2 * focal))
+    return {
+        "timestep_index": step,
+        "timestep_index_original": step,
+        "timestep_id": f"{step:05d}",
+        "camera_index": 0,
+        "camera_id": "0",
+        "cx": float(intrinsics[0, 2]),
+        "cy": float(intrinsics[1, 2]),
+        "fl_x": float(focal[0]),
+        "fl_y": float(focal[1]),
+        "w": record.width,
+        "h": record.height,
+        "camera_angle_x": float(angles[0]),
+        "camera_angle_y": float(angles[1]),
+        "transform_matrix": world_to_camera_gl(record.world_to_camera[row]).tolist(),
+        "file_path": f"images/{step:05d}_00.png",
+        "fg_mask_path": f"fg_masks/{step:05d}_00.png",
+        "flame_param_path": f"flame_param/{step:05d}.npz",
+    }
