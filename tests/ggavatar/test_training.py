@@ -155,7 +155,7 @@ def psnr(folder: Path, backend: str = "auto") -> float:
 @pytest.mark.parametrize("name", sorted(registry.names()))
 def test_every_method_learns_the_toy(name: str, toy_capture: Capture, tmp_path: Path) -> None:
     """From the first checkpoint to the last the test PSNR rises well above a blank picture's."""
-    options = {**OPTIONS, "steps": 100, "save_every": 100, "method": name, "max_gaussians": 400, "set": ["crop_side=24"]}
+    options = {**OPTIONS, "steps": 100, "save_every": 100, "method": name, "set": ["crop_side=24"]}
     assert train_run(toy_capture.folder, tmp_path / "run", options, quiet=True) == 100
     run = open_run(tmp_path / "run")
     blank = sum(float(-10 * torch.log10((1 - frame.image).square().mean())) for frame in run.frames(run.split.test))
