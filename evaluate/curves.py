@@ -65,6 +65,8 @@ def _draw(panel: Axes, shown: Sequence[Shown], name: str) -> None:
 
 
 def write_curves(path: Path, shown: Sequence[Shown]) -> None:
-    """Draw the curves into a file; the suffix decides the format (.png, .pdf, .svg)."""
+    """Draw the curves into a file whose suffix decides the format (.png, .pdf, .svg), if anything was measured."""
+    if not measured(shown):
+        return
     figure = curves(shown)
     write_atomically(path, lambda stream: figure.savefig(stream, format=path.suffix[1:]))

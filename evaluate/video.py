@@ -40,7 +40,7 @@ def video_writer(path: Path, fps: float, crf: int = CRF) -> Iterator[Callable[[n
     try:
         with av.open(str(partial), "w", options={"movflags": "faststart"}) as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-            stream.options = {"crf": str(crf), "preset": "medium"}
+            stream.options = {"crf": str(crf), "preset": "veryfast"}
             stream.pix_fmt = "yuv420p"
             count = 0
 

@@ -153,6 +153,20 @@ def test_curves_and_worst_sheet(tmp_path: Path) -> None:
     assert worst_sheet(one, count=3, width=64).shape[1] > 3 * 64
 
 
+def test_identical_and_unmeasured_frames_can_be_drawn(tmp_path: Path) -> None:
+    one = shown(tmp_path, "ours", 0)
+    assert all(value == math.inf for value in one.evaluation.values["psnr"])
+    files = write_visuals(one, one.predictions.parent)
+    assert len(files) == 5
+    nothing = dataclasses.replace(one.evaluation, values={"psnr": (None,) * len(FRAMES)})
+    unmeasured = dataclasses.replace(one, evaluation=nothing)
+    for path in files:
+        path.unlink()
+    assert [path.name for path in write_visuals(unmeasured, one.predictions.parent)] == [
+        "report.html", "comparison.png", "side_by_side.mp4",
+    ]  # fmt: skip
+
+
 def test_everything_to_look_at_is_written_once(tmp_path: Path) -> None:
     one = shown(tmp_path, "ours", 3)
     home = one.predictions.parent
