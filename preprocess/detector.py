@@ -1,0 +1,128 @@
+"""Finding the largest face of a frame with the short-range detector of the face landmarker bundle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from preprocess.face_bundle import load_network
+
+INPUT_SIZE = 128
+MINIMUM_SCORE = 0.5
+# The network sees faces of about an eighth of its input and more. Smaller ones are looked for in windows of these
+# fractions of the frame.
+WINDOW_FRACTIONS = (0.5, 0.28)
+
+
+@dataclass(frozen=True)
+class FaceBox:
+    """A detected face.
+
+    Attributes:
+        center: Of the box, px.
+        side: Longer side of the box, px.
+        roll: Angle of the line from the subject's right to left eye against the image's x axis, rad.
+        score: Confidence in [0, 1].
+    """
+
+    center: tuple[float, float]
+    side: float
+    roll: float
+    score: float
+
+
+class FaceDetector:
+    """The detector network. Not safe for two threads at once (OpenCV networks hold their input)."""
+
+    def __init__(self, bundle: Path) -> None:
+        self._network = load_network(bundle, "detector")
+        self._anchors = _anchors()
+
+    def detect(self, frame: UInt8[np.ndarray, "H W 3"]) -> FaceBox | None:
+        """The best face of an RGB frame, or None.
+
+        The whole frame is tried first; only when it shows no face, overlapping windows are searched for a small one.
+        """
+        found = self._in_window(frame, (0, 0, frame.shape[1], frame.shape[0]))
+        for fraction in WINDOW_FRACTIONS:
+            if found is not None:
+                return found
+            candidates = [
+                self._in_window(frame, window) for window in _windows(frame.shape[1], frame.shape[0], fraction)
+            ]
+            found = max((face for face in candidates if face), key=lambda face: face.score * face.side, default=None)
+        return found
+
+    def _in_window(self, frame: np.ndarray, window: tuple[int, int, int, int]) -> FaceBox | None:
+        left, top, width, height = window
+        scale = INPUT_SIZE / max(width, height)
+        cut = frame[top : top + height, left : left + width]
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        canvas = np.zeros((INPUT_SIZE, INPUT_SIZE, 3), np.uint8)
+        canvas[: size[1], : size[0]] = cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
+        best = self._best(canvas)
+        if best is None:
+            return None
+        score, box, eyes = best
+        low, high = box[:2] / scale, box[2:] / scale
+        across = eyes[1] - eyes[0]
+        center = (low + high) / 2
+        return FaceBox(
+            (left + center[0], top + center[1]), float(max(high - low)), float(np.arctan2(across[1], across[0])), score
+        )
+
+    def _best(self, canvas: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """Score, box (two corners) and eye positions in network pixels.
+
+        Blended over all overlapping detections of the best face.
+        """
+        blob = cv2.dnn.blobFromImage(canvas, 1 / 127.5, mean=(127.5, 127.5, 127.5))
+        self._network.setInput(blob)
+        logits, offsets = self._network.forward(("classificators", "regressors"))
+        scores = 1 / (1 + np.exp(-np.clip(logits.reshape(-1), -50, 50)))
+        offsets = offsets.reshape(-1, 16)
+        kept = np.flatnonzero(scores >= MINIMUM_SCORE)
+        if not len(kept):
+            return None
+        center, half = self._anchors[kept] + offsets[kept, :2], offsets[kept, 2:4] / 2
+        boxes = np.concatenate((center - half, center + half), axis=1)
+        top = int(np.argmax(scores[kept]))
+        weights = scores[kept] * (_overlap(boxes[top], boxes) > 0.3)
+        eyes = offsets[kept, 4:8].reshape(-1, 2, 2) + self._anchors[kept, None]
+        weights /= weights.sum()
+        return float(scores[kept][top]), weights @ boxes, np.einsum("n,nij->ij", weights, eyes)
+
+
+def _anchors() -> Float[np.ndarray, "896 2"]:
+    """Centres that the regressed offsets refer to, px: two on a 16 × 16 grid, then six on an 8 × 8 grid."""
+    rows = []
+    for cells, repeats in ((16, 2), (8, 6)):
+        y, x = np.mgrid[:cells, :cells]
+        centers = (np.stack((x, y), axis=-1).reshape(-1, 2) + 0.5) * (INPUT_SIZE / cells)
+        rows.append(np.repeat(centers, repeats, axis=0))
+    return np.concatenate(rows)
+
+
+def _overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Intersection over union of one box with others."""
+    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
+    common = np.clip(high - low, 0, None).prod(axis=1)
+    return common / (np.prod(box[2:] - box[:2]) + (others[:, 2:] - others[:, :2]).prod(axis=1) - common)
+
+
+def _windows(width: int, height: int, fraction: float) -> list[tuple[int, int, int, int]]:
+    """Square windows (left, top, width.
+
+    Height) of a fraction of the longer side that cover the frame with half overlap.
+    """
+    side = max(1, min(round(max(width, height) * fraction), width, height))
+
+    def starts(length: int) -> list[int]:
+        count = max(1, int(np.ceil((length - side) / (side / 2))) + 1)
+        return [round(start) for start in np.linspace(0, length - side, count)]
+
+    return [(left, top, side, side) for top in starts(height) for left in starts(width)]

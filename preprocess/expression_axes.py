@@ -1,0 +1,74 @@
+"""The axes of a tracked head's expression: named ones, the same for every subject, and a few of the subject's own."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from ggavatar.head.procedural import procedural_names
+from preprocess.blendshapes import NAMES
+
+JOINT_SCORES = ("neutral", "jawForward", "jawLeft", "jawOpen", "jawRight", "eyeBlinkLeft", "eyeBlinkRight")
+"""Scores that joints and lids stand for; gaze scores (eyeLook…) are left out likewise."""
+
+AXES = tuple(name for name in NAMES if name not in JOINT_SCORES and not name.startswith("eyeLook"))
+"""Named expression coefficients in order; one unit is the full expression of the blendshape of that name."""
+
+# What the procedural head's own expressions say about each axis: name and amount. Sides follow the axis.
+_GENERIC = {
+    "browDown": (("brow_down", 1.0),),
+    "browInnerUp": (("brow_inner_up", 1.0),),
+    "browOuterUp": (("brow_outer_up", 1.0),),
+    "cheekPuff": (("cheek_puff", 1.0),),
+    "cheekSquint": (("cheek_squint", 1.0),),
+    "eyeSquint": (("eye_squint", 1.0),),
+    "eyeWide": (("eye_wide", 1.0),),
+    "mouthDimple": (("dimple", 1.0),),
+    "mouthFrown": (("frown", 1.0),),
+    "mouthFunnel": (("funnel", 1.0),),
+    "mouth": (("mouth_shift", 1.0),),
+    "mouthLowerDown": (("lower_lip_depress", 1.0),),
+    "mouthPress": (("lips_press", 0.5),),
+    "mouthPucker": (("pucker", 1.0),),
+    "mouthRollLower": (("lower_roll_in", 1.0),),
+    "mouthRollUpper": (("upper_roll_in", 1.0),),
+    "mouthShrugLower": (("chin_raise", 1.0),),
+    "mouthShrugUpper": (("upper_lip_forward", 0.7),),
+    "mouthSmile": (("smile", 1.0),),
+    "mouthStretch": (("stretch", 1.0),),
+    "mouthUpperUp": (("upper_lip_raise", 1.0),),
+    "noseSneer": (("nose_wrinkle", 1.0),),
+}
+
+
+def axis_scores(blendshapes: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T A"]:
+    """The columns of the scores that are axes."""
+    return blendshapes[:, [NAMES.index(name) for name in AXES]]
+
+
+def score(blendshapes: Float[np.ndarray, "T 52"], name: str) -> Float[np.ndarray, " T"]:
+    """One score by name."""
+    return blendshapes[:, NAMES.index(name)]
+
+
+def generic_mixture() -> Float[np.ndarray, "G A"]:
+    """How much of each of the procedural head's expressions makes up each axis."""
+    names, _ = procedural_names()
+    mixture = np.zeros((len(names), len(AXES)))
+    for column, axis in enumerate(AXES):
+        stem, side = _split(axis)
+        for generic, amount in _GENERIC.get(stem, ()):
+            known = [
+                name for name in (f"{generic}_{side}", f"{generic}_left", f"{generic}_right", generic) if name in names
+            ]
+            chosen = known[:1] if side or generic in names else known
+            mixture[[names.index(name) for name in chosen], column] = amount
+    return mixture
+
+
+def _split(axis: str) -> tuple[str, str]:
+    """The name without its side, and the side ("left", "right" or "")."""
+    for side in ("Left", "Right"):
+        if axis.endswith(side):
+            return axis.removesuffix(side), side.lower()
+    return axis, ""

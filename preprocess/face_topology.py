@@ -1,0 +1,59 @@
+"""What the 478 landmarks are: index sets of MediaPipe's face mesh, and how far expressions move each of its points."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from preprocess.face_bundle import CanonicalFace
+
+MESH_POINTS = 468
+"""Landmarks on the skin; those after them lie on the irises."""
+
+
+def _indices(text: str) -> np.ndarray:
+    return np.array(text.split(), dtype=np.int64)
+
+
+# Lid margins from the outer corner over the upper lid to the inner corner, and back along the lower lid.
+RIGHT_UPPER_LID = _indices("33 246 161 160 159 158 157 173 133")
+RIGHT_LOWER_LID = _indices("33 7 163 144 145 153 154 155 133")
+LEFT_UPPER_LID = _indices("263 466 388 387 386 385 384 398 362")
+LEFT_LOWER_LID = _indices("263 249 390 373 374 380 381 382 362")
+# Margins of the lips from the subject's right to left corner.
+UPPER_LIP_MARGIN = _indices("78 191 80 81 82 13 312 311 310 415 308")
+LOWER_LIP_MARGIN = _indices("78 95 88 178 87 14 317 402 318 324 308")
+OUTER_LIPS = _indices("61 146 91 181 84 17 314 405 321 375 291 409 270 269 267 0 37 39 40 185")
+BROWS = _indices("70 63 105 66 107 46 53 52 65 55 300 293 334 296 336 276 283 282 295 285")
+FACE_OVAL = _indices(
+    "10 338 297 332 284 251 389 356 454 323 361 288 397 365 379 378 400 377 152 148 176 149 150 136 172 58 132 93 234 127 162 21 54 103 67 109"
+)
+EYE_CORNERS = _indices("33 133 362 263")
+RIGHT_IRIS, LEFT_IRIS = _indices("468 469 470 471 472"), _indices("473 474 475 476 477")
+
+NOSE_BASE_HEIGHT = -0.012
+
+
+def lids() -> np.ndarray:
+    """All landmarks of the four lid margins."""
+    return np.unique(np.concatenate((RIGHT_UPPER_LID, RIGHT_LOWER_LID, LEFT_UPPER_LID, LEFT_LOWER_LID)))
+
+
+def rigidity(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
+    """Trust in each landmark as a point fixed to the skull: 1 on forehead, nose and temples, 0.05 on mouth and jaw."""
+    trust = np.where(face.vertices[:, 1] > NOSE_BASE_HEIGHT, 1.0, 0.05)
+    trust[lids()] = 0.3
+    trust[BROWS] = 0.2
+    trust[EYE_CORNERS] = 1.0
+    return trust
+
+
+def without_openings(face: CanonicalFace) -> np.ndarray:
+    """Triangles of the canonical face that are skin: those across the mouth and the eyes are left out."""
+    inside = [
+        np.union1d(UPPER_LIP_MARGIN, LOWER_LIP_MARGIN),
+        np.union1d(RIGHT_UPPER_LID, RIGHT_LOWER_LID),
+        np.union1d(LEFT_UPPER_LID, LEFT_LOWER_LID),
+    ]
+    across = np.any([np.isin(face.faces, loop).all(axis=1) for loop in inside], axis=0)
+    return face.faces[~across]

@@ -1,0 +1,58 @@
+"""Turns of the eyeballs from the irises: where the ray through an iris meets the sphere its centre moves on."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from preprocess.rigid import Lens, Poses
+
+IRIS_SHARE = 0.87
+"""Distance of the iris from the eye's centre over the eyeball's radius."""
+LARGEST_TURN = np.radians(40.0)
+
+
+def eye_turns(
+    irises: Float[np.ndarray, "T 2 2"], lens: Lens, poses: Poses, eyes: Float[np.ndarray, "2 3"], radius: float
+) -> Float[np.ndarray, "T 2 3"]:
+    """Axis-angle of the left and the right eye in head space, rad, without torsion; at rest an eye looks along +Z.
+
+    Args:
+        irises: Image positions of the left and the right iris' centre, px.
+        lens: Camera.
+        poses: Of the head.
+        eyes: Centres of the eyeballs, m in head space.
+        radius: Of an eyeball, m.
+    """
+    rays = np.concatenate(((irises - np.asarray(lens.center)) / lens.focal, np.ones((*irises.shape[:2], 1))), axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    centers = poses.to_camera(eyes[None])
+    along = (rays * centers).sum(axis=-1, keepdims=True)
+    across = rays * along - centers
+    limit = IRIS_SHARE * radius
+    distance = np.linalg.norm(across, axis=-1, keepdims=True)
+    across = across * np.minimum(1.0, limit * np.sin(LARGEST_TURN) / np.maximum(distance, 1e-9))
+    forward = np.sqrt(limit**2 - (across**2).sum(axis=-1, keepdims=True))
+    looks = ((across - rays * forward) / limit) @ poses.rotations
+    axis = np.stack((-looks[..., 1], looks[..., 0], np.zeros_like(looks[..., 0])), axis=-1)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.minimum(np.arctan2(sine, looks[..., 2:]), LARGEST_TURN)
+    return axis * (angle / np.maximum(sine, 1e-9))
+
+
+def centered_eyes(
+    turns: Float[np.ndarray, "T 2 3"], poses: Poses, eyes: Float[np.ndarray, "2 3"], radius: float
+) -> Float[np.ndarray, "2 3"]:
+    """Eye centres shifted so that, in the middle of the clip, the eyes are parallel and level with the camera, m.
+
+    Lids say little about where an eyeball's centre is; but people look far compared with the distance of their eyes,
+    and mostly at the height
+    of the lens.
+    """
+    usual = np.median(turns, axis=0)
+    to_camera = -np.einsum("tba,tb->ta", poses.rotations, poses.translations)
+    camera_pitch = float(np.median(np.arctan2(-to_camera[:, 1], to_camera[:, 2])))
+    reach = IRIS_SHARE * radius
+    apart = (usual[0, 1] - usual[1, 1]) / 2
+    raised = (usual[:, 0].mean() - camera_pitch) * reach
+    return eyes + np.array([[apart * reach, -raised, 0.0], [-apart * reach, -raised, 0.0]])

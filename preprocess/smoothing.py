@@ -1,0 +1,61 @@
+"""Smoothing without lag, and numbers that say how much a track trembles."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import solveh_banded
+from scipy.spatial.transform import Rotation
+
+from preprocess.rigid import Poses, second_difference_stencil
+
+
+def penalty(cutoff: float, fps: float) -> float:
+    """Weight of squared second differences that halves a motion of `cutoff` Hz (Whittaker's smoother.
+
+    At most a third of the frame rate).
+    """
+    angle = np.pi * min(cutoff, fps / 3) / fps
+    return float((2 * np.sin(angle)) ** -4)
+
+
+def smooth(
+    values: Float[np.ndarray, "T C"], weights: Float[np.ndarray, " T"], strength: float
+) -> Float[np.ndarray, "T C"]:
+    """Whittaker's smoother: closest to `values` in weighted least squares.
+
+    With second differences penalised by `strength`.
+
+    Frames of weight zero are filled by the smoothest continuation. Symmetric in time, hence without lag.
+    """
+    if len(values) < 3 or strength <= 0:
+        return values.copy()
+    bands = strength * second_difference_stencil(len(values))
+    bands[0] += weights + 1e-9
+    return solveh_banded(bands, weights[:, None] * np.where(weights[:, None] > 0, values, 0.0), lower=True)
+
+
+def jitter(values: Float[np.ndarray, "T C"]) -> float:
+    """Root mean square of the fourth differences over √70, robust.
+
+    The standard deviation of white noise with that much tremble.
+    """
+    if len(values) < 5:
+        return 0.0
+    differences = np.diff(values, n=4, axis=0) / np.sqrt(70.0)
+    return float(
+        np.sqrt((1.4826 * np.median(np.abs(differences), axis=0)) @ (1.4826 * np.median(np.abs(differences), axis=0)))
+    )
+
+
+def pose_jitter(poses: Poses) -> dict[str, float]:
+    """Tremble of a head pose: rotation in degrees, translation across and along the view in millimetres."""
+    rotations = Rotation.from_matrix(poses.rotations)
+    middle = rotations[len(rotations) // 2].inv()
+    degrees = np.degrees((middle * rotations).as_rotvec())
+    millimetres = poses.translations * 1000
+    return {
+        "rotation_deg": jitter(degrees),
+        "across_mm": jitter(millimetres[:, :2]),
+        "along_mm": jitter(millimetres[:, 2:]),
+    }

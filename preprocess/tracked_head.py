@@ -1,0 +1,206 @@
+"""A head of the subject's own: the generic head bent to the tracked face.
+
+With the expression axes learnt from the clip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from ggavatar.head.model import HeadModel
+from preprocess import face_topology as topology
+from preprocess.face_embedding import lip_loop
+from preprocess.generic_head import JOINT_NAMES, PARENTS, GenericHead
+from preprocess.surface_extension import SurfaceExtension
+
+VERSION = "tracked-1"
+LID_GAP = 0.0014
+"""Thickness of a lid: how far its margin lies outside the eyeball, m."""
+EYEBALL_RADIUS = 0.0120
+CLOSING_HEIGHT = 0.25
+"""Where closed lids meet, from the lower (0) to the upper lid (1)."""
+_SECOND_RING = (
+    (topology.RIGHT_UPPER_LID[1:-1], (247, 30, 29, 27, 28, 56, 190)),
+    (topology.RIGHT_LOWER_LID[1:-1], (25, 110, 24, 23, 22, 26, 112)),
+    (topology.LEFT_UPPER_LID[1:-1], (467, 260, 259, 257, 258, 286, 414)),
+    (topology.LEFT_LOWER_LID[1:-1], (255, 339, 254, 253, 252, 256, 341)),
+)
+_LID_PAIRS = ((topology.LEFT_UPPER_LID, topology.LEFT_LOWER_LID), (topology.RIGHT_UPPER_LID, topology.RIGHT_LOWER_LID))
+
+
+@dataclass(frozen=True)
+class PersonalShape:
+    """The generic head in the subject's shape.
+
+    Attributes:
+        vertices: Template, m.
+        joints: Joint positions, m.
+        eyes: Centres of the left and the right eyeball, m.
+        eye_radius: m.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    joints: Float[np.ndarray, "J 3"]
+    eyes: Float[np.ndarray, "2 3"]
+    eye_radius: float
+
+
+def fit_shape(generic: GenericHead, neutral: Float[np.ndarray, "468 3"]) -> PersonalShape:
+    """Bend the generic head so that its landmarks lie at the neutral ones; eyeballs, ears.
+
+    Teeth and tongue follow rigidly.
+    """
+    scale, rotation, shift = similarity(generic.landmarks @ generic.vertices, neutral)
+    vertices = scale * generic.vertices @ rotation.T + shift
+    joints = scale * generic.joints @ rotation.T + shift
+    bend = SurfaceExtension(generic.soft, generic.landmarks, np.zeros(len(vertices)))
+    moved = vertices + bend(neutral - generic.landmarks @ vertices)
+    for name in ("left_ear", "right_ear"):
+        rows = generic.regions[name]
+        near = _nearest(vertices[generic.regions["skin"]], vertices[rows].mean(axis=0), 60)
+        moved[rows] = vertices[rows] + (moved - vertices)[generic.regions["skin"][near]].mean(axis=0)
+    lips = lip_loop(generic.head)
+    inside = np.concatenate([generic.regions[name] for name in ("teeth", "tongue")])
+    moved[inside] = vertices[inside] + (moved - vertices)[lips].mean(axis=0)
+    moved[generic.regions["torso"]] = vertices[generic.regions["torso"]]
+    radius = EYEBALL_RADIUS * scale
+    eyes = np.zeros((2, 3))
+    for index, side in enumerate(("left", "right")):
+        rows = generic.regions[f"{side}_eyeball"]
+        joint = JOINT_NAMES.index(f"{side}_eye")
+        eyes[index] = _eye_center(moved[generic.regions[f"{side}_lid_margin"]], joints[joint], radius + LID_GAP)
+        moved[rows] = vertices[rows] + eyes[index] - joints[joint]
+        joints[joint] = eyes[index]
+    return PersonalShape(moved, joints, eyes, float(radius))
+
+
+def move_eyes(shape: PersonalShape, generic: GenericHead, eyes: Float[np.ndarray, "2 3"]) -> PersonalShape:
+    """The same shape with its eyeballs and their joints elsewhere."""
+    vertices, joints = shape.vertices.copy(), shape.joints.copy()
+    for index, side in enumerate(("left", "right")):
+        vertices[generic.regions[f"{side}_eyeball"]] += eyes[index] - shape.eyes[index]
+        joints[JOINT_NAMES.index(f"{side}_eye")] = eyes[index]
+    return PersonalShape(vertices, joints, eyes, shape.eye_radius)
+
+
+def similarity(
+    source: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "N 3"]
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Scale, rotation and shift that take one point set nearest to another (Umeyama 1991)."""
+    center_source, center_target = source.mean(axis=0), target.mean(axis=0)
+    left, values, right = np.linalg.svd((target - center_target).T @ (source - center_source))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = (left * signs) @ right
+    scale = float((values * signs).sum() / ((source - center_source) ** 2).sum())
+    return scale, rotation, center_target - scale * rotation @ center_source
+
+
+def _nearest(points: np.ndarray, center: np.ndarray, count: int) -> np.ndarray:
+    return np.argsort(((points - center) ** 2).sum(axis=1))[:count]
+
+
+def _eye_center(margin: np.ndarray, start: np.ndarray, radius: float) -> np.ndarray:
+    """Centre of a ball of known radius that touches a lid margin, kept near where the generic eye is."""
+    center = start.copy()
+    for _ in range(10):
+        arms = center - margin
+        distance = np.linalg.norm(arms, axis=1)
+        slopes = arms / distance[:, None]
+        normal = slopes.T @ slopes + 0.05 * len(margin) * np.diag([1.0, 1.0, 0.2])
+        pull = 0.05 * len(margin) * np.array([1.0, 1.0, 0.2]) * (start - center)
+        center = center + np.linalg.solve(normal, slopes.T @ (radius - distance) + pull)
+    return center
+
+
+def lid_axes(neutral: Float[np.ndarray, "468 3"], shape: PersonalShape) -> Float[np.ndarray, "468 3 2"]:
+    """Displacement of the landmarks that closes the left and the right lid.
+
+    Both margins meet on a line on the eyeball.
+    """
+    axes = np.zeros((len(neutral), 3, 2))
+    for side, (upper, lower) in enumerate(_LID_PAIRS):
+        line = neutral[lower] + CLOSING_HEIGHT * (neutral[upper] - neutral[lower])
+        center = shape.eyes[side]
+        arms = line - center
+        reach = 0.5 * np.linalg.norm(neutral[upper] - center, axis=1) + 0.5 * np.linalg.norm(
+            neutral[lower] - center, axis=1
+        )
+        line = center + arms * (reach / np.linalg.norm(arms, axis=1))[:, None]
+        for margin in (upper, lower):
+            axes[margin[1:-1], :, side] = (line - neutral[margin])[1:-1]
+    for margin, ring in _SECOND_RING:
+        axes[list(ring)] = 0.5 * axes[margin]
+    return axes
+
+
+def assemble(
+    generic: GenericHead,
+    shape: PersonalShape,
+    named: Float[np.ndarray, "468 3 A"],
+    own: Float[np.ndarray, "468 3 K"],
+    lids: Float[np.ndarray, "468 3 2"],
+) -> HeadModel:
+    """The head model: named axes first, then the subject's own.
+
+    Args:
+        generic: The generic head.
+        shape: The subject's shape.
+        named: Displacement of the landmarks per unit of each named axis, m.
+        own: The same for the subject's own axes.
+        lids: The same for closing the left and the right lid.
+    """
+    held = np.zeros(len(shape.vertices))
+    for name in ("scalp", "ears", "neck", "shoulders", "torso"):
+        held[generic.regions[name]] = 10.0
+    spread = SurfaceExtension(generic.soft, generic.landmarks, held)
+    count = named.shape[2]
+    learnt = generic.axes[:, :, :count] + spread(named - _at_landmarks(generic, generic.axes[:, :, :count]))
+    basis = np.concatenate((learnt, spread(own)), axis=2)
+    return HeadModel(
+        template=_real(shape.vertices),
+        faces=torch.tensor(generic.faces, dtype=torch.int64),
+        expression_basis=_real(basis),
+        pose_basis=torch.zeros(len(basis), 3, 0),
+        eyelid_basis=_real(spread(lids)),
+        joint_regressor=_real(_joint_regressor(generic, shape)),
+        skinning_weights=_real(generic.weights),
+        parents=PARENTS,
+        joint_names=JOINT_NAMES,
+        version=VERSION,
+        regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in generic.regions.items()},
+        uv=_real(generic.uv),
+    )
+
+
+def _at_landmarks(generic: GenericHead, values: np.ndarray) -> np.ndarray:
+    return (generic.landmarks @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def _joint_regressor(generic: GenericHead, shape: PersonalShape) -> np.ndarray:
+    """For every joint the smallest change of a plain mean, over vertices that no expression moves.
+
+    That hits the joint exactly.
+    """
+    support = {
+        "jaw": "ears",
+        "left_eye": "left_eyeball",
+        "right_eye": "right_eyeball",
+        "neck": "ears",
+        "cervical": "ears",
+    }
+    regressor = np.zeros((len(JOINT_NAMES), len(shape.vertices)))
+    for joint, name in enumerate(JOINT_NAMES):
+        rows = generic.regions[support.get(name, "torso")]
+        mean = np.full(len(rows), 1 / len(rows))
+        constraints = np.vstack((np.ones(len(rows)), shape.vertices[rows].T))
+        missing = np.append(1.0, shape.joints[joint]) - constraints @ mean
+        regressor[joint, rows] = mean + constraints.T @ np.linalg.solve(constraints @ constraints.T, missing)
+    return regressor
+
+
+def _real(values: np.ndarray) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float32)

@@ -1,0 +1,174 @@
+"""The built-in tracker: from a clip's images and masks to cameras, head parameters and a head of the subject's own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ggavatar.capture import Tracking
+from ggavatar.errors import InputError
+from preprocess import models
+from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
+from preprocess.expression_axes import AXES
+from preprocess.face_bundle import CanonicalFace, canonical_face
+from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
+from preprocess.gaze import centered_eyes, eye_turns
+from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.landmarks import LandmarkTracker
+from preprocess.options import PrepOptions
+from preprocess.rigid import nearest_true
+from preprocess.sequence import TrackedSequence
+from preprocess.silhouette_fit import Outlines, chosen_rows, fit_outline, outline_overlap, reduce_mask
+from preprocess.smoothing import penalty, pose_jitter, smooth
+from preprocess.torso import TorsoPivots, TorsoTracker, neck_turns, torso_poses
+from preprocess.tracked_head import assemble, move_eyes
+
+ENOUGH_FRAMES = 8
+EXPRESSION_CUTOFF, LID_CUTOFF = 6.0, 9.0
+"""Fastest motion of expression, jaw and gaze, and of the lids, that is kept, Hz."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What one pass over the pictures gave.
+
+    Attributes:
+        clip: Landmarks.
+        torso: Similarity of the torso from the first frame to each, px; None where it could not be followed.
+        outlines: Masks of a few frames.
+    """
+
+    clip: Clip
+    torso: list[np.ndarray | None]
+    outlines: Outlines
+
+
+def track(
+    images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, options: PrepOptions
+) -> TrackedSequence:
+    """Track a clip.
+
+    Args:
+        images: 8-bit RGB frames of one size; each is asked for once, in order.
+        masks: 8-bit foreground, 255 = person; each is asked for once, in order.
+        fps: Frames a second.
+        options: Uses `models`, `offline` and `tracker`.
+
+    Raises:
+        InputError: A model file is missing, or hardly a frame shows a face.
+    """
+    bundle = models.resolve("face_landmarker", options.models, offline=options.offline)
+    face = canonical_face(bundle)
+    watched = watch(images, masks, fps, LandmarkTracker(bundle))
+    return track_landmarks(watched, face, options)
+
+
+def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
+    """Landmarks and torso motion of every frame, holding one picture at a time."""
+    torso, points, scores, motions, kept = TorsoTracker(), [], [], [], []
+    rows, size = chosen_rows(len(images)), (0, 0)
+    for index in range(len(images)):
+        image = images[index]
+        size = (image.shape[1], image.shape[0])
+        found = tracker.landmarks(image)
+        points.append(None if found is None else found.points)
+        scores.append(np.zeros(52) if found is None else found.blendshapes)
+        mask = masks[index]
+        motions.append(torso.motion(image, mask, points[-1]))
+        if index in rows:
+            kept.append(reduce_mask(mask))
+    seen = np.array([here is not None for here in points])
+    if seen.sum() < ENOUGH_FRAMES:
+        raise InputError(
+            f"a face was found in {seen.sum()} of {len(seen)} frames, expected at least {ENOUGH_FRAMES}; is the clip a portrait video?"
+        )
+    nearest = nearest_true(seen)
+    filled = np.stack([points[index] for index in nearest])
+    clip = Clip(filled, np.stack(scores)[nearest].astype(np.float64), seen, size, fps)
+    return Watched(clip, motions, Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0]))
+
+
+def track_landmarks(watched: Watched, face: CanonicalFace, options: PrepOptions) -> TrackedSequence:
+    """Everything after the pictures have been looked at."""
+    settings, clip, generic = options.tracker, watched.clip, generic_head(face)
+    own = max(0, settings.expressions - len(AXES))
+    fit = fit_clip(clip, face, generic, own, settings.focal, settings.smooth)
+    fit = _with_gaze_centered(watched, fit, generic)
+    axes = fit.model.axes
+    parts = (axes[:, :, : len(AXES)], axes[:, :, len(AXES) : -2], axes[:, :, -2:])
+    head = assemble(generic, fit.shape, *parts)
+    tracking = _tracking(watched, fit, settings.smooth)
+    template = fit_outline(head, generic, tracking, watched.outlines)
+    head = assemble(generic, dataclasses.replace(fit.shape, vertices=template), *parts)
+    report = _report(watched, fit) | {"outline_overlap": round(outline_overlap(head, tracking, watched.outlines), 3)}
+    return TrackedSequence(tracking, head, report)
+
+
+def _with_gaze_centered(watched: Watched, fit: ClipFit, generic: GenericHead) -> ClipFit:
+    """Eyeballs moved to where the clip's usual gaze is level and parallel."""
+    eyes = centered_eyes(_turns(watched, fit), fit.camera.poses, fit.shape.eyes, fit.shape.eye_radius)
+    return dataclasses.replace(fit, shape=move_eyes(fit.shape, generic, eyes))
+
+
+def _turns(watched: Watched, fit: ClipFit) -> np.ndarray:
+    irises = watched.clip.points[:, [LEFT_IRIS[0], RIGHT_IRIS[0]]]
+    return eye_turns(irises, fit.camera.lens, fit.camera.poses, fit.shape.eyes, fit.shape.eye_radius)
+
+
+def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
+    """Parameters of all frames as arrays of the capture."""
+    clip, camera = watched.clip, fit.camera
+    weights = clip.seen.astype(float)
+    count = len(clip.points)
+
+    def steady(values: np.ndarray, cutoff: float) -> np.ndarray:
+        flat = values.reshape(count, -1)
+        return smooth(flat, weights, penalty(cutoff, clip.fps) if smoothed else 0.0).reshape(values.shape)
+
+    joints = np.zeros((count, len(JOINT_NAMES), 3))
+    joints[:, JOINT_NAMES.index("jaw"), :2] = steady(fit.motion.jaw, EXPRESSION_CUTOFF)
+    joints[:, 3:5] = steady(_turns(watched, fit), EXPRESSION_CUTOFF)
+    pivots = TorsoPivots(fit.shape.joints[JOINT_NAMES.index("cervical")], fit.shape.joints[JOINT_NAMES.index("torso")])
+    torso = torso_poses(watched.torso, camera.poses, camera.lens, clip.fps)
+    joints[:, 5], joints[:, 6] = neck_turns(torso, camera.poses, pivots)
+    return Tracking(
+        intrinsics=np.tile(camera.lens.matrix(), (count, 1, 1)),
+        world_to_camera=camera.poses.matrices(),
+        expression=steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF),
+        joint_rotations=joints,
+        eyelids=np.clip(steady(fit.motion.coefficients[:, -2:], LID_CUTOFF), -0.3, 1.1),
+        translation=np.zeros((count, 3)),
+        landmarks=np.where(clip.seen[:, None, None], clip.points, np.nan),
+    )
+
+
+def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
+    """Numbers that say how well it went."""
+    clip = watched.clip
+    missed = reprojection(clip, fit.camera, fit.model.shapes(fit.motion.coefficients, fit.motion.jaw))[clip.seen]
+    lost = int((~clip.seen).sum())
+    followed = sum(motion is not None for motion in watched.torso)
+    notes = (
+        [f"no face in {lost} of {len(clip.seen)} frames; their pose is carried over from the neighbours"]
+        if lost
+        else []
+    )
+    return {
+        "tracker": "built-in",
+        "focal_px": round(fit.camera.lens.focal, 1),
+        "focal_spread": round(fit.focal_spread, 3),
+        "distance_m": round(float(np.median(fit.camera.poses.translations[:, 2])), 3),
+        "reprojection_px": {
+            "median": round(float(np.median(missed)), 3),
+            "p95": round(float(np.percentile(missed, 95)), 3),
+        },
+        "expression_energy": {"named": round(fit.energy[0], 4), "with_own": round(fit.energy[1], 4)},
+        "jitter": {name: round(value, 4) for name, value in pose_jitter(fit.camera.poses).items()},
+        "frames_without_face": lost,
+        "torso_followed": followed,
+        "warnings": notes,
+    }
