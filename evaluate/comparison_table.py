@@ -202,7 +202,7 @@ def notes(study: Study) -> tuple[str, ...]:
     found.append("Cells are means over test frames; best and second are marked per metric, ties after rounding shared.")
     if any(len(study.runs(s, m)) > 1 for s in study.subjects for m in study.methods):
         found.append("± is the sample deviation over seeds, not over frames.")
-    found += _missing_notes(study)
+    found += missing_notes(study, study.metrics)
     found += _identical_notes(study)
     for subject in study.subjects:
         runs = [e for e in study.evaluations if e.subject == subject]
@@ -226,14 +226,10 @@ def conditions(protocol: Protocol) -> str:
     return f"{protocol.id}: {', '.join(parts)}. {'; '.join(exact)}."
 
 
-def _missing_notes(study: Study) -> list[str]:
-    """Reasons of the dashes in the table."""
-    return [
-        f"– {title_of(metric)}: {e.missing[metric]}."
-        for e in study.evaluations
-        for metric in study.metrics
-        if metric in e.missing
-    ]
+def missing_notes(study: Study, metrics: Sequence[str]) -> list[str]:
+    """Reasons of the dashes in a table of metrics, each once."""
+    found = [f"– {title_of(m)}: {e.missing[m]}." for e in study.evaluations for m in metrics if m in e.missing]
+    return list(dict.fromkeys(found))
 
 
 def _identical_notes(study: Study) -> list[str]:

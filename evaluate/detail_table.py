@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 from evaluate.catalogue import metric_of, title_of
-from evaluate.comparison_table import Study, printed
+from evaluate.comparison_table import Study, missing_notes, printed
 from evaluate.results import Evaluation
 from evaluate.statistics import BLOCK_SPAN, RESAMPLES, deviation_over_seeds, paired_bootstrap
 from evaluate.table import Cell, Column, Row, Source, Table, missing_cell, number_cell
@@ -29,6 +29,7 @@ def detail_table(study: Study) -> Table:
     notes = (
         "worst 5 % is the mean over the worst twentieth of the frames, at least one.",
         "σ frames is the sample deviation between frames of one run; σ seeds is that between runs with other seeds.",
+        *missing_notes(study, study.evaluations[0].columns),
     )
     return Table("detail", caption, "Metric", tuple(columns), tuple(rows), notes, protocol=study.protocol.id)
 

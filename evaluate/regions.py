@@ -9,11 +9,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+_MOUTH = ("mouth", "lips")
+_EYES = ("eyes", "eye_region", "left_eye_region", "right_eye_region", "left_eyeball", "right_eyeball")
 VERTEX_SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "face": ("face",),
-        "mouth": ("mouth", "lips"),
-        "eyes": ("eyes", "eye_region", "left_eye_region", "right_eye_region", "left_eyeball", "right_eyeball"),
+        "face": ("face", *_MOUTH, *_EYES),
+        "mouth": _MOUTH,
+        "eyes": _EYES,
         "scalp": ("scalp",),
         "below": ("neck", "shoulders"),
     }

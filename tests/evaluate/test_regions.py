@@ -66,8 +66,9 @@ def test_sets_of_one_region_are_joined_and_absent_ones_left_out() -> None:
     points, faces = squares()
     sets = {"lips": np.arange(4), "mouth": np.arange(4, 8)}
     masks = mesh_regions(points, np.ones(8), faces, sets, (64, 48))
-    assert set(masks) == {"mouth"}
+    assert set(masks) == {"mouth", "face"}
     assert masks["mouth"][20, 15] == masks["mouth"][20, 35] == 255
+    np.testing.assert_array_equal(masks["face"], masks["mouth"])
 
 
 def test_triangles_behind_the_camera_are_not_drawn() -> None:

@@ -107,9 +107,11 @@ def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monke
     write_png(tmp_path / "masks" / f"{number:06d}.png", person)
     drawn = write_region_masks(run, tmp_path, [number], ["foreground", "face", "mouth", "eyes", "hair"])
     assert drawn == ["face", "hair", "mouth"]
+    mouth = read_grey(tmp_path / "regions" / "mouth" / f"{number:06d}.png")
     face = read_grey(tmp_path / "regions" / "face" / f"{number:06d}.png")
     direct = frame_regions(model, run.reader.drive(number), run.reader.camera(number), person)
     np.testing.assert_array_equal(face, direct["face"])
-    assert 0 < (face > 0).sum() < face.size
+    assert 0 < (mouth > 0).sum() < (face > 0).sum() < face.size
+    assert (face[mouth > 0] == 255).all()
     assert not ((direct["hair"] > 0) & (face > 0)).any()
     assert write_region_masks(run, tmp_path, [number], ["foreground", "boundary"]) == []
