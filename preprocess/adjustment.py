@@ -1,10 +1,8 @@
 """Bundle adjustment of a clip: one focal length, one mean face and a rigid pose a frame, found together.
 
 A moving head shows its own depth: the same face seen from several sides, under perspective, has one shape and one
-focal length that explain
-it best. Two priors keep weak evidence from running away (towards a long lens, or a flat face): the face is the
-canonical one plus a smooth
-deformation, and people are filmed from about arm's length.
+focal length that explain it best. Two priors keep weak evidence from running away (towards a long lens, or a flat
+face): the face is the canonical one plus a smooth deformation, and people are filmed from about arm's length.
 """
 
 from __future__ import annotations
@@ -28,8 +26,9 @@ DEFORMATION_REACH = 0.035
 DEPTH, DEPTH_SPREAD = 0.88, 0.05
 """Mean and standard deviation of the face's depth against the canonical one.
 
-The landmark network shows turned heads with about a tenth less
-parallax than they have (docs/log.md); a face as flat as its landmarks gives head turns their true size."""
+The landmark network shows turned heads with about a tenth less parallax than they have (docs/log.md); a face as flat
+as its landmarks gives head turns their true size.
+"""
 MODES = 40
 
 
@@ -111,8 +110,7 @@ def adjust(
 
     Args:
         observed: Landmarks and inverse variances. Neighbouring landmarks share their errors: give variances large
-            enough that the sum over
-            all of them is the true information.
+            enough that the sum over all of them is the true information.
         prior: Of the mean shape.
         start: Where to start; its focal length is also the centre of the focal prior.
         offsets: What expressions add to the mean shape in each frame, m in head space.

@@ -36,8 +36,9 @@ FACE_WIDTH = 0.155
 SHARED_ERROR, OWN_ERROR = 0.2, 0.014
 """Landmark errors over the face's width.
 
-The first counts as if all points of 100 frames erred alike (focal length, mean shape), the second is
-for one frame's coefficients, where neighbours still err alike."""
+The first counts as if all points of 100 frames erred alike (focal length, mean shape), the second is for one frame's
+coefficients, where neighbours still err alike.
+"""
 KEYFRAMES, SPREAD_FRAMES = 64, 32
 LEARNING_FRAMES = 800
 ROUNDS = 3

@@ -1,10 +1,8 @@
 """Learning a subject's expression axes from the clip's own motion, and reading the coefficients of each frame.
 
 Named axes start as those of a generic face and are corrected by ridge regression of the observed displacements on the
-blendshape scores, so that
-an axis keeps its meaning and an expression the clip does not show stays generic. What the scores cannot explain goes
-to axes of the subject's
-own, by principal components.
+blendshape scores, so that an axis keeps its meaning and an expression the clip does not show stays generic. What the
+scores cannot explain goes to axes of the subject's own, by principal components.
 """
 
 from __future__ import annotations

@@ -46,8 +46,7 @@ def centered_eyes(
     """Eye centres shifted so that, in the middle of the clip, the eyes are parallel and level with the camera, m.
 
     Lids say little about where an eyeball's centre is; but people look far compared with the distance of their eyes,
-    and mostly at the height
-    of the lens.
+    and mostly at the height of the lens.
     """
     usual = np.median(turns, axis=0)
     to_camera = -np.einsum("tba,tb->ta", poses.rotations, poses.translations)

@@ -171,8 +171,8 @@ def refine_poses(
         lens: Camera.
         poses: Where to start.
         smoothness: Penalty on the pose's second differences relative to a typical frame's information; see
-            `smoothing.penalty`. The
-            solution is that of all frames together, so it is not delayed (as a filter over past frames would be).
+            `smoothing.penalty`. The solution is that of all frames together, so it is not delayed (as a filter over
+            past frames would be).
         iterations: At most this many.
     """
     for _ in range(iterations):

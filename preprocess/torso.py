@@ -1,8 +1,8 @@
 """The torso's own motion: how the clothes below the chin move in the image, and the neck joints that follow from it.
 
 The head's pose is in the camera, so shoulders that rest in the room swing in head space. Few numbers are measured
-(shift, roll and size of the
-torso in the image), and slowly: enough for shoulders to stay where they are, too few to memorise frames.
+(shift, roll and size of the torso in the image), and slowly: enough for shoulders to stay where they are, too few to
+memorise frames.
 """
 
 from __future__ import annotations

@@ -84,7 +84,8 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
     seen = np.array([here is not None for here in points])
     if seen.sum() < ENOUGH_FRAMES:
         raise InputError(
-            f"a face was found in {seen.sum()} of {len(seen)} frames, expected at least {ENOUGH_FRAMES}; is the clip a portrait video?"
+            f"a face was found in {seen.sum()} of {len(seen)} frames, expected at least {ENOUGH_FRAMES}; "
+            "is the clip a portrait video?"
         )
     nearest = nearest_true(seen)
     filled = np.stack([points[index] for index in nearest])
