@@ -1,0 +1,41 @@
+"""Run one benchmark and write its figures as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from pathlib import Path
+
+from benchmarks.measure import environment
+
+NAMES = ("rasterizer", "step", "scaling")
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """Options of a run; every benchmark's `run(options)` reads what it needs."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description="Median and interquartile range of what we claim."
+    )
+    parser.add_argument("name", choices=NAMES, help="which benchmark")
+    parser.add_argument("--json", type=Path, required=True, metavar="OUT", help="file to write; plots go beside it")
+    parser.add_argument("--repeats", type=int, default=0, help="timed rounds; 0 takes what suits the benchmark")
+    parser.add_argument("--quick", action="store_true", help="small scenes, for continuous integration")
+    parser.add_argument("--threads", type=int, default=0, help="threads of the wall-clock figures; 0 takes all cores")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run, print and write."""
+    options = parse(sys.argv[1:] if arguments is None else arguments)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    figures = importlib.import_module(f"benchmarks.{options.name}").run(options)
+    text = json.dumps({"benchmark": options.name, "environment": environment()} | figures, indent=1)
+    options.json.write_text(text + "\n", encoding="utf-8")
+    sys.stdout.write(text + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

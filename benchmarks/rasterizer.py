@@ -1,0 +1,105 @@
+"""Our CPU rasteriser beside a tiled one in plain torch and beside the reference: forward and backward, in turn."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import torch
+
+from benchmarks import torch_tiled
+from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
+from benchmarks.scenes import FIELDS, head
+from ggavatar.core import Camera, Gaussians, Rasterizer
+from ggavatar.render import cpu, reference
+
+SCENES = ((10_000, 256), (50_000, 512))
+QUICK_SCENES = ((2_000, 128),)
+MEMORY_SCENE = (100_000, 512)
+WHITE = torch.ones(3)
+
+
+def step(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callable[[], None]:
+    """One forward and backward pass with a fixed gradient of the image."""
+    incoming = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
+
+    def call() -> None:
+        for name in FIELDS:
+            getattr(gaussians, name).grad = None
+        rasterize(gaussians, camera, WHITE).image.backward(incoming)
+
+    return call
+
+
+def forward(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callable[[], None]:
+    """One forward pass."""
+
+    def call() -> None:
+        rasterize(gaussians, camera, WHITE)
+
+    return call
+
+
+def compare(count: int, size: int, rounds: int, wall_threads: int) -> dict[str, object]:
+    """All candidates on one scene."""
+    gaussians, camera = head(count, size)
+    difference = agreement(gaussians, camera)
+    candidates = {
+        "cpu": step(cpu.rasterize, gaussians, camera),
+        "torch_tiled": step(torch_tiled.rasterize, gaussians, camera),
+        "reference": step(reference.rasterize, gaussians, camera),
+        "cpu_forward": forward(cpu.rasterize, gaussians, camera),
+    }
+    with threads(1):
+        single = interleaved(candidates, rounds)
+        ours = many(candidates["cpu"], rounds)
+    with threads(wall_threads):
+        parallel = interleaved({name: candidates[name] for name in ("cpu", "torch_tiled")}, rounds)
+        ours_parallel = many(candidates["cpu"], rounds)
+    return {
+        "gaussians": count,
+        "size": size,
+        "one_thread": {name: timing.as_dict() for name, timing in single.items()},
+        "all_cores": {name: timing.as_dict() for name, timing in parallel.items()},
+        "cpu_alone_one_thread": ours.as_dict(),
+        "cpu_alone_all_cores": ours_parallel.as_dict(),
+        "wall_threads": wall_threads,
+        "ratio_vs_torch_tiled": round(single["torch_tiled"].cpu_ms / single["cpu"].cpu_ms, 1),
+        "ratio_vs_reference": round(single["reference"].cpu_ms / single["cpu"].cpu_ms, 1),
+        "wall_ratio_vs_torch_tiled": round(parallel["torch_tiled"].wall_ms / parallel["cpu"].wall_ms, 1),
+        "image_difference": difference,
+    }
+
+
+def many(call: Callable[[], object], rounds: int) -> Timing:
+    """Our backend alone, many times, as in training: nobody else empties the caches in between."""
+    return interleaved({"cpu": call}, 8 * rounds, warm_up=3)["cpu"]
+
+
+@torch.no_grad()
+def agreement(gaussians: Gaussians, camera: Camera) -> float:
+    """Mean absolute difference of our image and the tiled one: they must draw the same thing for a ratio to mean anything."""
+    found, expected = cpu.rasterize(gaussians, camera, WHITE), torch_tiled.rasterize(gaussians, camera, WHITE)
+    difference = float((found.image - expected.image).abs().mean())
+    if difference > 1e-4:
+        raise RuntimeError(f"the rasterisers differ by {difference:.1e}: the comparison would be void")
+    return difference
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Figures of all scenes, and the memory of a step."""
+    wall_threads = options.threads or cores()
+    rounds = options.repeats or 5
+    scenes = QUICK_SCENES if options.quick else SCENES
+    results = [compare(count, size, rounds, wall_threads) for count, size in scenes]
+    count, size = scenes[-1] if options.quick else MEMORY_SCENE
+    gaussians, camera = head(count, size)
+    call = step(cpu.rasterize, gaussians, camera)
+    held = sum(getattr(gaussians, name).nbytes for name in FIELDS)
+    memory = {
+        "gaussians": count,
+        "size": size,
+        "extra_mb": peak_extra_megabytes(call),
+        "gradients_mb": round(held / 2**20, 1),
+    }
+    return {"scenes": results, "memory": memory}
