@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from evaluate.comparison import write_comparison
+from evaluate.comparison import load_sample, typical_frames, write_comparison
+from evaluate.comparison_layout import comparison
 from evaluate.curves import write_curves
 from evaluate.report import write_report
 from evaluate.results import METRICS_FILE
 from evaluate.shown import Shown, names_of
 from evaluate.video import write_side_by_side
 from evaluate.worst import write_worst_frames
+from ggavatar.pictures import write_png
 
 REPORT, COMPARISON, VIDEO, CURVES, WORST = (
     "report.html",
@@ -50,12 +52,12 @@ def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None]
 
 
 def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
-    """Write a comparison and a report for every subject that several methods were measured on in the same frames.
+    """Write what shows several evaluations together.
 
     Args:
         shown: Evaluations of any subjects and protocols.
-        folder: Where `comparison-SUBJECT.png` and `report-SUBJECT.html` go; with the protocol where one subject
-            has several.
+        folder: Where `comparison-SUBJECT.png` and `report-SUBJECT.html` go for a subject with several methods on the
+            same frames, and `comparison.png` with a row for every subject, where several have the same methods.
 
     Returns:
         The files written; none where nothing can be compared.
@@ -64,19 +66,41 @@ def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
     for one in shown:
         truth = one.evaluation.hashes.get("ground_truth", "")
         groups.setdefault((one.evaluation.subject, one.evaluation.protocol.id, truth), []).append(one)
+    subjects = [subject for subject, _, _ in groups]
     written: list[Path] = []
-    subjects = [subject for (subject, _, _), members in groups.items() if len(members) > 1]
     for (subject, protocol, truth), members in groups.items():
-        if len(members) < 2:
-            continue
         stem = subject if subjects.count(subject) == 1 else f"{subject}-{protocol}-{truth[:6]}"
-        stem = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
-        figure, page = folder / f"comparison-{stem}.png", folder / f"report-{stem}.html"
-        folders = {name: one.predictions for name, one in zip(names_of(members), members, strict=True)}
-        write_comparison(figure, folders, members[0].truth, focus=members[0].faces)
-        write_report(page, members)
-        written += [figure, page]
-    return written
+        if len(members) > 1:
+            written += _write_study(members, folder, stem)
+    return written + _write_gallery(list(groups.values()), folder)
+
+
+def _write_study(members: Sequence[Shown], folder: Path, stem: str) -> list[Path]:
+    """Comparison and report of several methods on one subject."""
+    safe = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
+    figure, page = folder / f"comparison-{safe}.png", folder / f"report-{safe}.html"
+    write_comparison(figure, _folders(members), members[0].truth, focus=members[0].faces)
+    write_report(page, members)
+    return [figure, page]
+
+
+def _write_gallery(groups: Sequence[Sequence[Shown]], folder: Path) -> list[Path]:
+    """A hard frame of every subject that has the methods of the first (the layout of the paper's Fig. 3)."""
+    alike = [group for group in groups if names_of(group) == names_of(groups[0])]
+    if len({group[0].evaluation.subject for group in alike}) < 2:
+        return []
+    samples = []
+    for group in alike:
+        methods, truth, subject = _folders(group), group[0].truth, group[0].evaluation.subject
+        hard = list(typical_frames(methods, truth))[-1]
+        samples.append(load_sample(hard, methods, truth, f"{subject}, frame {hard}", group[0].faces))
+    write_png(folder / "comparison.png", comparison(samples))
+    return [folder / "comparison.png"]
+
+
+def _folders(members: Sequence[Shown]) -> dict[str, Path]:
+    """Folders of renders by the names of the methods."""
+    return {name: one.predictions for name, one in zip(names_of(members), members, strict=True)}
 
 
 def _outdated(path: Path, source: Path) -> bool:

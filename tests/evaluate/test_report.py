@@ -182,6 +182,9 @@ def test_everything_to_look_at_is_written_once(tmp_path: Path) -> None:
     assert [path.stat().st_mtime_ns for path in write_visuals(one, home)] == times
     pair = write_studies([one, shown(tmp_path, "theirs", 5), shown(tmp_path, "ours", 4, subject="b/c")], tmp_path)
     assert [path.name for path in pair] == ["comparison-toy.png", "report-toy.html"]
+    gallery = write_studies([one, shown(tmp_path, "ours", 4, subject="b/c")], tmp_path)
+    assert [path.name for path in gallery] == ["comparison.png"]
+    assert write_studies([one], tmp_path) == write_studies([], tmp_path) == []
 
 
 @pytest.mark.slow
