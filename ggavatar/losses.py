@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import huber_loss, l1_loss
 
+from ggavatar.acceleration import compiled_for
 from ggavatar.dssim import DssimTarget, dssim
 
 __all__ = ["DssimTarget", "dssim", "huber", "l1", "position_regulariser", "scale_regulariser"]
 
 
 def l1(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"]) -> Float[Tensor, ""]:
-    """Mean absolute difference over pixels and channels."""
-    return l1_loss(image, target)
+    """Mean absolute difference over pixels and channels; the gradient flows into `image` only."""
+    if compiled_for(image, target):
+        return cast(Tensor, _CompiledL1.apply(image, target))
+    return l1_loss(image, target.detach())
 
 
 def huber(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"], delta: float = 0.1) -> Float[Tensor, ""]:
@@ -34,6 +40,15 @@ def position_regulariser(
     References:
         GGAvatar Eq. 14 read as in GaussianAvatars (docs/paper.md, A15, A16): on the norm, of local positions.
     """
+    if compiled_for(local_means):
+        return cast(Tensor, _CompiledRegulariser.apply(local_means, visible, threshold, "position"))
+    return position_in_torch(local_means, visible, threshold)
+
+
+def position_in_torch(
+    local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0
+) -> Float[Tensor, ""]:
+    """`position_regulariser` in plain torch: any dtype and device."""
     square = local_means.square().sum(-1)
     beyond = square > threshold**2
     length = square.where(beyond, square.new_tensor(1.0)).sqrt()
@@ -53,6 +68,15 @@ def scale_regulariser(
     References:
         GGAvatar Eq. 15; on local scales (docs/paper.md, A16).
     """
+    if compiled_for(local_scales):
+        return cast(Tensor, _CompiledRegulariser.apply(local_scales, visible, threshold, "scale"))
+    return scale_in_torch(local_scales, visible, threshold)
+
+
+def scale_in_torch(
+    local_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
+) -> Float[Tensor, ""]:
+    """`scale_regulariser` in plain torch: any dtype and device."""
     square = (local_scales - threshold).clamp_min(0).square().sum(-1)
     beyond = square > 0
     length = square.where(beyond, square.new_tensor(1.0)).sqrt()
@@ -62,3 +86,47 @@ def scale_regulariser(
 def _mean_where(values: Tensor, visible: Tensor) -> Tensor:
     """Mean of `values` over the visible rows, 0 (still attached to the graph) if there is none."""
     return (values * visible).sum() / visible.sum().clamp_min(1)
+
+
+class _CompiledL1(torch.autograd.Function):
+    """The compiled L1; the signs are found on the way forth, since only a factor is missing."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor) -> Tensor:
+        from ggavatar import losses_kernel as kernels
+
+        signs = torch.empty(image.numel() if ctx.needs_input_grad[0] else 0)
+        total = kernels.l1_sum(_flat(image), _flat(target), signs.numpy())
+        ctx.save_for_backward(signs)
+        ctx.shape = image.shape
+        return image.new_tensor(total / max(image.numel(), 1))
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        (signs,) = ctx.saved_tensors
+        return (signs * (upstream / max(signs.numel(), 1))).view(ctx.shape), None
+
+
+class _CompiledRegulariser(torch.autograd.Function):
+    """The compiled regularisers, gradient included."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor, visible: Tensor, threshold: float, kind: str) -> Tensor:
+        from ggavatar import losses_kernel as kernels
+
+        gradient = torch.empty(rows.shape)
+        seen = visible.contiguous()
+        array = rows.detach().contiguous().numpy()
+        total = kernels.rows_sum(kind, array, seen.numpy(), threshold, gradient.numpy())
+        ctx.count = max(int(seen.sum()), 1)
+        ctx.save_for_backward(gradient)
+        return rows.new_tensor(total / ctx.count)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * (upstream / ctx.count), None, None, None
+
+
+def _flat(image: Tensor) -> Any:
+    return image.detach().contiguous().view(-1).numpy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ggavatar.losses import huber, l1, position_regulariser, scale_regulariser
+from ggavatar.losses import huber, l1, position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
 
 SEEN = torch.tensor([True, True, False])
 
@@ -55,3 +55,35 @@ def test_l1_and_huber() -> None:
     image, target = torch.tensor([[[0.0, 0.5, 1.0]]]), torch.tensor([[[0.05, 0.5, 0.0]]])
     assert l1(image, target).item() == pytest.approx(1.05 / 3)
     assert huber(image, target).item() == pytest.approx((0.5 * 0.05**2 + 0.1 * (1 - 0.05)) / 3)
+
+
+@pytest.mark.parametrize(
+    ("compiled", "twin", "threshold"),
+    [(position_regulariser, position_in_torch, 1.0), (scale_regulariser, scale_in_torch, 0.6)],
+)
+def test_compiled_regularisers_equal_float64_autograd(compiled, twin, threshold: float) -> None:
+    generator = torch.Generator().manual_seed(1)
+    rows = torch.randn(20_000, 3, generator=generator).requires_grad_()
+    visible = torch.rand(20_000, generator=generator) < 0.7
+    wide = rows.detach().double().requires_grad_()
+    ours, expected = compiled(rows, visible, threshold), twin(wide, visible, threshold)
+    (3 * ours).backward()
+    (3 * expected).backward()
+    assert ours.item() == pytest.approx(expected.item(), rel=1e-6)
+    assert rows.grad is not None and wide.grad is not None
+    assert (rows.grad - wide.grad).norm() < 1e-6 * wide.grad.norm()
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (7, 5, 1), (300, 301, 3)])
+def test_compiled_l1_equals_torch(shape: tuple[int, int, int]) -> None:
+    generator = torch.Generator().manual_seed(2)
+    image, target = torch.rand(*shape, generator=generator), torch.rand(*shape, generator=generator)
+    image[0, 0] = target[0, 0]
+    other = image.clone().requires_grad_()
+    image.requires_grad_()
+    (2 * l1(image, target)).backward()
+    expected = torch.nn.functional.l1_loss(other, target)
+    (2 * expected).backward()
+    assert l1(image, target).item() == pytest.approx(expected.item(), rel=1e-5)
+    assert image.grad is not None and other.grad is not None
+    assert torch.allclose(image.grad, other.grad, rtol=1e-5, atol=0)
