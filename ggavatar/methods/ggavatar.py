@@ -21,12 +21,13 @@ from torch import Tensor, nn
 from ggavatar.binding import Placed, bind
 from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.deform import AdjusterConfig, BasisAdjuster, Offsets, refine
+from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.density import DensityControl, accumulate, statistics
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry import TriangleFrames, project, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.offsets import Offsets, refine
 from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
