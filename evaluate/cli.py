@@ -81,7 +81,7 @@ def _checks(options: Options, evaluations: Sequence[Evaluation], limits: tuple[d
     floors, ceilings, tolerances = limits
     checks = check_limits(evaluations, floors, ceilings)
     if options.gates.compare:
-        checks += compare(evaluations, [read_results(options.gates.compare)], tolerances)
+        checks += compare(evaluations, [read_results(path) for path in options.gates.compare], tolerances)
     return checks
 
 

@@ -32,12 +32,13 @@ def measure_pixels(
         Values by column. PSNR of identical images is infinite; None stands for an empty mask, for a region without
         mask, or for an image too small for the metric.
     """
-    maps = {**_ssim_maps(prediction, truth, columns), **_error_maps(prediction, truth, columns)}
+    maps = _ssim_maps(prediction, truth, columns)
+    flat = _channel_means({**maps, **_error_maps(prediction, truth, columns)}, columns)
     values: dict[str, Value] = {}
     for column in columns:
         name, _, region = column.partition("@")
         if region:
-            values[column] = _masked(name, maps, regions.get(region))
+            values[column] = _masked(name, flat, regions.get(region))
         elif name in SSIM_NAMES:
             values[column] = float(maps[name].mean(dtype=np.float64)) if name in maps else None
         elif name in _WHOLE:
@@ -82,6 +83,13 @@ def _error_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict
     difference = cv2.absdiff(prediction, truth).astype(np.float32) / np.float32(255)
     found = {"l1": difference} if "l1" in names else {}
     return found | {"mse": np.square(difference)}
+
+
+def _channel_means(maps: Mapping[str, np.ndarray], columns: Sequence[str]) -> dict[str, np.ndarray]:
+    """The maps that masked columns need, averaged over the channels once for all regions."""
+    masked = {column.partition("@")[0] for column in columns if "@" in column}
+    wanted = {"mse" if name == "psnr" else name for name in masked} & set(maps)
+    return {name: maps[name].mean(axis=2, dtype=np.float64, keepdims=True) for name in wanted}
 
 
 def _masked(name: str, maps: Mapping[str, np.ndarray], weights: Weights | None) -> Value:

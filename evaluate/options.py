@@ -10,6 +10,7 @@ import tyro
 
 from evaluate.protocol import PROTOCOLS, Protocol, named
 from ggavatar.errors import InputError
+from ggavatar.splits import split_name
 
 Alias = tyro.conf.arg
 
@@ -72,8 +73,8 @@ class Gates:
     """Floors of means, such as psnr=30 ssim=0.9."""
     fail_above: tuple[str, ...] = ()
     """Ceilings of means, such as lpips=0.1."""
-    compare: Path | None = None
-    """An earlier metrics.json (or its folder) that must not be undercut."""
+    compare: tuple[Path, ...] = ()
+    """Earlier metrics.json files (or their folders) that must not be undercut."""
     tolerance: tuple[str, ...] = ()
     """How far a mean may fall behind --compare, such as psnr=0.1."""
     junit: Path | None = None
@@ -124,6 +125,7 @@ class Options:
             return self.override.applied(named(self.protocol))
         if split is None:
             return self.override.applied(named("folders"))
+        split = split_name(split)
         fitting = next((p for p in PROTOCOLS.values() if p.split == split and p.split != "file"), None)
         return self.override.applied(fitting or named("paper").override(split=split))
 

@@ -167,7 +167,7 @@ _NAMED = (
     _on_white(
         "paper",
         "every-20th",
-        metrics=(*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_vgg_unit_range"),
+        metrics=("psnr", "l1", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", "lpips_vgg_unit_range"),
         table_metrics=("psnr", "ssim_3dgs", "lpips_alex"),
         regions=_PARTS,
     ),

@@ -13,13 +13,14 @@ from evaluate.gather import Labels
 from evaluate.options import Options
 from evaluate.pairing import pair_folders
 from evaluate.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
-from evaluate.protocol import Protocol
+from evaluate.protocol import GIVEN, Protocol
 from evaluate.region_masks import write_region_masks
 from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
 from evaluate.weights import NO_WEIGHTS, model_folders
 from ggavatar.errors import InputError
 from ggavatar.runs import Run, open_run, read_config
+from ggavatar.splits import split_name
 
 Progress = Callable[[int, int], None]
 
@@ -44,7 +45,8 @@ def evaluate_run(
     device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
     run = open_run(folder, device)
     protocol = fitted(options.base_protocol(config.split), run)
-    job = job_of(run, protocol)
+    listed = split_name(config.split) == protocol.split == "file"
+    job = job_of(run, protocol.override(split=GIVEN) if listed else protocol)
     home = folder / "eval" / protocol.id
     folders = model_folders(options.models)
     learned = None if options.no_learned else learned_metrics(protocol, folders)

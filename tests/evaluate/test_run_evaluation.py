@@ -89,6 +89,26 @@ def test_test_frames_that_were_trained_on_are_refused(run: Run) -> None:
         evaluate_run(run.folder, dataclasses.replace(OPTIONS, override=Override(split="ratio-0.5")), silent)
 
 
+def test_a_run_with_a_list_of_its_own_is_scored_on_that_list(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = dataclasses.replace(run, config=dataclasses.replace(run.config, split="file:/some where/split.json"))
+    monkeypatch.setattr(run_evaluation, "open_run", lambda folder, device: listed)
+    monkeypatch.setattr(run_evaluation, "read_config", lambda folder: listed.config)
+    found, _ = evaluate_run(run.folder, OPTIONS, silent)
+    assert found.protocol.id == f"paper-v1+resolution={WIDTH}x{HEIGHT},split=file"
+    assert found.frames == run.split.test
+    lineage, _ = evaluate_run(run.folder, dataclasses.replace(OPTIONS, protocol="gaussian-avatars"), silent)
+    assert lineage.protocol.split == "file"
+
+
+@pytest.mark.parametrize(
+    ("split", "protocol"),
+    [("every-20th", "paper"), ("last-350", "insta-350"), ("last-500", "flash-500"), ("ratio-0.8", "strict")],
+)
+def test_the_protocol_follows_the_split_of_the_run(split: str, protocol: str) -> None:
+    assert OPTIONS.base_protocol(split).id == f"{protocol}-v1"
+    assert OPTIONS.base_protocol("every-10").id == "paper-v1+split=every-10"
+
+
 def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
     paper = named("paper")
     assert fitted(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
