@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 
 WINDOW, SIGMA = 11, 1.5
 RADIUS = WINDOW // 2
+STRIP = 32
 C1, C2 = 0.01**2, 0.03**2
 MS_SHORTEST = 160
 """The shorter side of an image must be longer than this for five scales, px."""
@@ -26,8 +27,9 @@ def ssim_map(prediction: Image, target: Image) -> Float[np.ndarray, "H W C"]:
     Wang et al. 2004, Eq. 13, with an 11×11 Gaussian window of σ 1.5, weighted population covariance, K = (0.01, 0.03)
     and range 1.
     """
-    luminance, contrast = _terms(_unit(prediction), _unit(target))
-    return luminance * contrast
+    luminance, contrast = _terms(prediction, target)
+    luminance *= contrast
+    return luminance
 
 
 def valid(values: Float[np.ndarray, "H W C"]) -> Float[np.ndarray, "h w C"]:
@@ -95,13 +97,26 @@ def ms_ssim(prediction: Image, target: Image) -> float:
     return float(product.mean())
 
 
-def _terms(first: Float[np.ndarray, "H W C"], second: Float[np.ndarray, "H W C"]) -> tuple[np.ndarray, np.ndarray]:
+def _terms(first: Image, second: Image) -> tuple[np.ndarray, np.ndarray]:
     """Luminance and contrast-structure terms of SSIM at every pixel of zero-padded images.
+
+    Rows are worked off in strips that stay in the processor's cache, which halves the time and changes no bit.
+    """
+    x, y = _padded(first), _padded(second)
+    luminance, contrast = np.empty((2, *first.shape), np.float32)
+    for top in range(0, len(first), STRIP):
+        rows, reach = slice(top, top + STRIP), slice(top, top + STRIP + 2 * RADIUS)
+        luminance[rows], contrast[rows] = _strip_terms(_unit(x[reach]), _unit(y[reach]))
+    return luminance, contrast
+
+
+def _strip_terms(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both terms where the window fits into padded images in [0, 1].
 
     Variances do not change when a constant is subtracted; around middle grey float32 keeps more digits of them.
     """
     half = np.float32(0.5)
-    x, y = (_padded(image) - half for image in (first, second))
+    x, y = x - half, y - half
     mean_x, mean_y = _blurred(x), _blurred(y)
     # The order of operations makes the terms of identical images exactly one.
     variances = _blurred(x * x + y * y) - (mean_x * mean_x + mean_y * mean_y)
