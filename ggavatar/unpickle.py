@@ -203,6 +203,8 @@ def read_pickle(path: Path) -> Any:
     try:
         data = _pickle_bytes(path)
         return _Unfolding().plain(_Reader(data).load())
+    except InputError:
+        raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except IsADirectoryError as error:
@@ -210,8 +212,7 @@ def read_pickle(path: Path) -> Any:
     except _Refused as error:
         raise InputError(
             f"{path}: refused, since it holds {error}, which no tracker output or FLAME model needs and which "
-            "could run code; "
-            "get the file from its original source"
+            "could run code; get the file from its original source"
         ) from error
     except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise InputError(f"{path}: damaged archive ({error}); copy or make the file again") from error

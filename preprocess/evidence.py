@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,6 +18,8 @@ from preprocess.posing import overlap, posed_vertices, project, silhouette
 
 SIDE = 128
 FRAMES = 12
+FRAMES_AT_HAND = 64
+"""Half of how many images are kept in memory while hypotheses are compared."""
 NEARLY = 0.05
 """Silhouettes that differ by less (IoU) leave the decision to the picture under the mesh."""
 
@@ -82,13 +85,14 @@ def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[s
     Silhouettes cannot tell a head that turns left from one that turns right as well as the face can.
     """
     frames, now = capture.frames, capture.tracking
-    own = picture_change(head, now, frames, capture.image)
+    image = lru_cache(maxsize=2 * FRAMES_AT_HAND)(capture.image)
+    own = picture_change(head, now, frames, image)
     found: tuple[float, Hypothesis] | None = None
     for hypothesis in (*AXES[1:], *OTHERS):
         corrected = hypothesis.correct(now, capture.width, capture.height)
         if scores[hypothesis.name] < scores["as-is"] - NEARLY or _same_cameras(now, corrected):
             continue
-        lead = own - picture_change(head, corrected, frames, capture.image)
+        lead = own - picture_change(head, corrected, frames, image)
         lead = lead[np.isfinite(lead)]
         if len(lead) < 4 or lead.mean() < max(0.15 * np.nanmean(own), 3 * lead.std() / np.sqrt(len(lead))):
             continue

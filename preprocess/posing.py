@@ -88,7 +88,7 @@ def _sample(picture: np.ndarray, corners: Float[np.ndarray, "F 3 2"], count: int
     first, second = (axis.ravel() for axis in np.meshgrid(np.arange(count + 1), np.arange(count + 1)))
     inside = first + second <= count
     weights = np.stack((first, second, count - first - second))[:, inside] / count
-    points = np.floor(np.einsum("cp,fcd->fpd", weights, corners)).astype(int).reshape(-1, 2)
+    points = np.floor(weights.T.astype(np.float32) @ corners.astype(np.float32)).astype(np.int32).reshape(-1, 2)
     points = points[((points >= 0) & (points < picture.shape[::-1])).all(axis=1)]
     picture[points[:, 1], points[:, 0]] = 255
 
