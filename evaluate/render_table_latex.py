@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from evaluate.table import BEST, SECOND, Cell, Row, Table
@@ -32,6 +33,8 @@ SPECIAL = {
     "≤": r"$\leq$",
     "<": r"\textless{}",
     ">": r"\textgreater{}",
+    "[": "{[}",
+    "*": "{*}",
 }
 
 
@@ -109,5 +112,9 @@ def _cell(cell: Cell) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text without any character that means something to TeX."""
-    return "".join(SPECIAL.get(character, character) for character in text)
+    """Text without any character that means something to TeX, and a true minus before numbers.
+
+    What pdfTeX's fonts do not have (anything beyond Latin letters) becomes a question mark, so that the file compiles.
+    """
+    signed = re.sub(r"(?<![\w-])-(?=\d)", "−", text)
+    return "".join(SPECIAL.get(character, character if ord(character) < 0x180 else "?") for character in signed)

@@ -127,7 +127,16 @@ def test_latex_is_well_formed_for_tables_of_every_kind() -> None:
                 assert len(re.findall(r"(?<!\\)&", line)) + 1 + spans == width
 
 
+def test_a_row_may_begin_with_what_would_be_an_argument_of_the_line_break() -> None:
+    runs = [evaluation("[x]", "a"), evaluation("*", "a")]
+    source = to_latex(build_tables(runs))
+    assert "\n    {[}x]" in source
+    assert "\n    {*} &" in source
+    assert not re.search(r"\\\\\s*[\[*]", source)
+
+
 def test_special_characters_are_escaped() -> None:
+    assert escaped("-1.5 [-2.0, +3]* paper-v1 Ämter ☃") == "$-$1.5 {[}$-$2.0, +3]{*} paper-v1 Ämter ?"
     assert escaped("50% of #1 & {a_b} ~ ^ \\ $") == (
         r"50\% of \#1 \& \{a\_b\} \textasciitilde{} \textasciicircum{} \textbackslash{} \$"
     )
