@@ -53,7 +53,7 @@ def _frames(points: ndarray, faces: ndarray, weights: ndarray) -> tuple[ndarray,
 def attach(
     points: ndarray, faces: ndarray, place: tuple[ndarray, ndarray], offsets: ndarray, colors: ndarray, widths: ndarray
 ) -> Fuzz:
-    """Strands at (face, barycentric weights) whose nodes are given as offsets from their roots at rest, [S, N, 3], m."""
+    """Strands at (face, barycentric weights); `offsets` [S, N, 3] are their nodes relative to the roots at rest, m."""
     corners, weights = faces[place[0]], place[1]
     _, axes = _frames(points, corners, weights)
     return Fuzz(corners, weights, np.einsum("snc,skc->snk", offsets, axes), colors, widths)

@@ -1,83 +1,125 @@
-"""Strands as thin camera-facing lines, blended back to front over an image with a z-buffer."""
+"""Strands as thin camera-facing lines with coverage, sorted by depth, over an image with a z-buffer."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.compiled import kernel
+from ggavatar.compiled import inlined, kernel
 
-_BEHIND = 0.0015
+_BEHIND, _NEAR, _TINY = np.float32(0.0015), np.float32(0.05), np.float32(1e-6)
+_ZERO, _HALF, _ONE, _OPAQUE = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(0.004)
+
+
+@dataclass(frozen=True)
+class Strands:
+    """S strands of N nodes.
+
+    Attributes:
+        pixels: Position in samples and camera z, m.
+        colors: Linear colour of every node.
+        widths: Width in samples; lines thinner than a sample cover it in part.
+    """
+
+    pixels: Float[ndarray, "S N 3"]
+    colors: Float[ndarray, "S N 3"]
+    widths: Float[ndarray, "S N"]
+
+    def segments(self) -> Float[ndarray, "M 13"]:
+        """One row a segment: start, end, colour at the start, colour at the end, mean width."""
+        parts = (
+            self.pixels[:, :-1],
+            self.pixels[:, 1:],
+            self.colors[:, :-1],
+            self.colors[:, 1:],
+            0.5 * (self.widths[:, :-1] + self.widths[:, 1:])[..., None],
+        )
+        return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 13)
 
 
 def draw_strands(
-    pixels: Float[ndarray, "S N 3"],
-    colors: Float[ndarray, "S N 3"],
-    widths: Float[ndarray, "S N"],
+    strands: Sequence[Strands],
     depth: Float[ndarray, "H W"],
     color: Float[ndarray, "H W 3"],
     alpha: Float[ndarray, "H W"],
 ) -> None:
-    """Draw S strands of N nodes over `color` (premultiplied) and `alpha`, in place.
+    """Draw strands over `color` (premultiplied) and `alpha`, in place.
 
     Args:
-        pixels: Position in samples and camera z, m.
-        colors: Linear colour of every node.
-        widths: Width in samples; lines thinner than a sample cover it in part.
+        strands: In any order; all are sorted together.
         depth: Camera z of the surfaces, m; strands more than 1.5 mm behind are hidden.
         color: Image so far.
         alpha: Coverage so far.
     """
-    middle = (pixels[:, 1:, 2] + pixels[:, :-1, 2]).ravel()
-    order = np.argsort(-middle, kind="stable")
-    _draw(
-        *(np.ascontiguousarray(values, np.float32) for values in (pixels, colors, widths)), order, depth, color, alpha
-    )
+    segments = np.concatenate([item.segments() for item in strands])
+    nearest_first = np.argsort(segments[:, 2] + segments[:, 5], kind="stable")
+    layer, open_ = np.zeros_like(color), np.ones_like(alpha)
+    _draw(segments, nearest_first, depth, layer, open_)
+    color *= open_[..., None]
+    color += layer
+    alpha *= open_
+    alpha += 1 - open_
 
 
 @kernel
-def _draw(pixels, colors, widths, order, depth, color, alpha):
-    """Walk the segments in `order`, each along its longer side, with a window of samples across."""
+def _draw(segments, order, depth, layer, open_):
+    """Front to back, so that segments behind others that already cover everything cost nothing."""
+    for index in order:
+        segment = segments[index]
+        if min(segment[2], segment[5]) > _NEAR and not _covered(segment, depth, open_):
+            _draw_segment(segment, depth, layer, open_)
+
+
+@inlined
+def _covered(segment, depth, open_):
+    """Whether both ends and the middle lie outside the image, behind a surface or behind opaque hair."""
     height, width = depth.shape
-    segments = pixels.shape[1] - 1
-    for item in range(order.shape[0]):
-        strand, node = order[item] // segments, order[item] % segments
-        ax, ay, az = pixels[strand, node, 0], pixels[strand, node, 1], pixels[strand, node, 2]
-        dx, dy, dz = (
-            pixels[strand, node + 1, 0] - ax,
-            pixels[strand, node + 1, 1] - ay,
-            pixels[strand, node + 1, 2] - az,
-        )
-        if min(az, az + dz) < 0.05:
+    for step in range(3):
+        share = _HALF * np.float32(step)
+        column = int(np.floor(segment[0] + share * (segment[3] - segment[0])))
+        row = int(np.floor(segment[1] + share * (segment[4] - segment[1])))
+        if row < 0 or column < 0 or row >= height or column >= width:
             continue
-        thickness = 0.5 * (widths[strand, node] + widths[strand, node + 1])
-        share, reach = min(thickness, 1.0), 0.5 * max(thickness, 1.0) + 0.5
-        squared = max(dx * dx + dy * dy, 1e-6)
-        length = np.sqrt(squared)
-        steep = abs(dy) >= abs(dx)
-        start, run, side, slope = (ay, dy, ax, dx) if steep else (ax, dx, ay, dy)
-        slope = slope / run if abs(run) > 1e-6 else 0.0
-        window = reach * length / max(abs(run), 1e-3) if abs(run) > 1e-3 else reach
-        window = min(window, 2.0 * reach)
-        long_size, short_size = (height, width) if steep else (width, height)
-        first, last = (
-            int(max(min(start, start + run) - reach, 0.0)),
-            int(min(max(start, start + run) + reach, long_size - 1.0)),
-        )
-        for major in range(first, last + 1):
-            middle = side + slope * (major + 0.5 - start)
-            low, high = int(max(middle - window, 0.0)), int(min(middle + window, short_size - 1.0))
-            for minor in range(low, high + 1):
-                row, column = (major, minor) if steep else (minor, major)
-                px, py = column + 0.5 - ax, row + 0.5 - ay
-                along = (px * dx + py * dy) / squared
-                if along < 0.0 or along >= 1.0:
-                    continue
-                cover = min(max(reach - abs(px * dy - py * dx) / length, 0.0), 1.0) * share
-                if cover <= 0.0 or az + along * dz > depth[row, column] + _BEHIND:
-                    continue
-                for channel in range(3):
-                    tone = colors[strand, node, channel] * (1 - along) + colors[strand, node + 1, channel] * along
-                    color[row, column, channel] += (tone - color[row, column, channel]) * cover
-                alpha[row, column] += (1 - alpha[row, column]) * cover
+        distance = segment[2] + share * (segment[5] - segment[2])
+        if open_[row, column] > _OPAQUE and distance < depth[row, column] + _BEHIND:
+            return False
+    return True
+
+
+@inlined
+def _draw_segment(segment, depth, layer, open_):
+    """A window of samples across the segment's longer side, step by step along it."""
+    height, width = depth.shape
+    ax, ay, az = segment[0], segment[1], segment[2]
+    dx, dy, dz = segment[3] - ax, segment[4] - ay, segment[5] - az
+    share, reach = min(segment[12], _ONE), _HALF * max(segment[12], _ONE) + _HALF
+    squared = max(dx * dx + dy * dy, _TINY)
+    per_squared, length = _ONE / squared, np.sqrt(squared)
+    per_length = _ONE / length
+    steep = abs(dy) >= abs(dx)
+    start, run, side, slope = (ay, dy, ax, dx) if steep else (ax, dx, ay, dy)
+    slope = slope / run if abs(run) > _TINY else _ZERO
+    window = reach * min(length / max(abs(run), _TINY), _ONE + _ONE)
+    along_size, across_size = (height, width) if steep else (width, height)
+    first = int(max(min(start, start + run) - reach, _ZERO))
+    last = int(min(max(start, start + run) + reach, np.float32(along_size - 1)))
+    for major in range(first, last + 1):
+        middle = side + slope * (np.float32(major) + _HALF - start)
+        low = int(max(middle - window, _ZERO))
+        high = int(min(middle + window, np.float32(across_size - 1)))
+        for minor in range(low, high + 1):
+            row, column = (major, minor) if steep else (minor, major)
+            px, py = np.float32(column) + _HALF - ax, np.float32(row) + _HALF - ay
+            along = (px * dx + py * dy) * per_squared
+            cover = min(reach - abs(px * dy - py * dx) * per_length, _ONE) * share
+            if cover <= 0 or along < 0 or along >= 1 or az + along * dz > depth[row, column] + _BEHIND:
+                continue
+            weight = cover * open_[row, column]
+            open_[row, column] -= weight
+            for channel in range(3):
+                tone = segment[6 + channel] + (segment[9 + channel] - segment[6 + channel]) * along
+                layer[row, column, channel] += tone * weight

@@ -18,7 +18,7 @@ from preprocess.subject.mesh_renderer import project, rasterize, vertex_normals
 from preprocess.subject.motion import Motion
 from preprocess.subject.performance import Pose, pose, sticky_lips
 from preprocess.subject.shading import Look, Mesh, Shadow, shade
-from preprocess.subject.strand_renderer import draw_strands
+from preprocess.subject.strand_renderer import Strands, draw_strands
 from preprocess.subject.texture_space import to_linear, to_srgb
 from preprocess.subject.wrinkles import add_folds
 
@@ -109,12 +109,13 @@ class Studio:
         ]
         nodes = swung(groom.nodes, self._motion.head_to_room[index], self._lags[:, index], hair.flex)
         parts.append((nodes, self._hair_color, np.full(len(nodes), hair.width), groom.depth))
+        strands = []
         for nodes, tones, widths, open_ in parts:
             pixels = project(nodes.reshape(-1, 3), room.intrinsics(side), room.room_to_camera()).reshape(nodes.shape)
             taper = np.interp(np.linspace(0, 1, nodes.shape[1]), [0, 0.5, 1.0], [1.0, 0.95, 0.35])
             size = widths[:, None] * taper * room.intrinsics(side)[0, 0] / pixels[..., 2]
-            lit = strand_colors(nodes, tones, open_, self._lights, shadow)
-            draw_strands(pixels, lit, size, depth, color, alpha)
+            strands.append(Strands(pixels, strand_colors(nodes, tones, open_, self._lights, shadow), size))
+        draw_strands(strands, depth, color, alpha)
 
     def _glass(self, geometry: Pose, shadow: Shadow, color: ndarray, depth: ndarray) -> None:
         """Lenses: a slight tint and the lamp's reflection, in place."""
@@ -139,13 +140,16 @@ class Studio:
 
     def _developed(self, color: ndarray, alpha: ndarray) -> tuple[ndarray, ndarray]:
         """Average the samples, expose, and put the person in front of the background, in sRGB."""
-        shape = (self._size, _FINER, self._size, _FINER)
         exposed = 1 - np.exp(-_EXPOSURE * 1.25 * color)
-        premultiplied = exposed.reshape(*shape, 3).mean(axis=(1, 3))
-        coverage = alpha.reshape(shape).mean(axis=(1, 3))
+        premultiplied, coverage = _halved(exposed), _halved(alpha)
         straight = to_srgb(premultiplied / np.maximum(coverage, 1e-4)[..., None])
         image = straight * coverage[..., None] + self._background * (1 - coverage[..., None])
         return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8), coverage
+
+
+def _halved(samples: ndarray) -> ndarray:
+    """Means of 2 × 2 samples."""
+    return 0.25 * (samples[::2, ::2] + samples[1::2, ::2] + samples[::2, 1::2] + samples[1::2, 1::2])
 
 
 def _joined(character: Character) -> tuple[ndarray, ndarray, ndarray]:

@@ -12,7 +12,7 @@ from preprocess.subject.light import lamps, shadow_map, sky_share
 from preprocess.subject.mesh_renderer import rasterize, vertex_normals
 from preprocess.subject.motion import FPS
 from preprocess.subject.person import PEOPLE
-from preprocess.subject.strand_renderer import draw_strands
+from preprocess.subject.strand_renderer import Strands, draw_strands
 from preprocess.subject.subdivision import subdivide
 from preprocess.subject.texture_space import to_linear, to_srgb
 from preprocess.subject.wrinkles import BULGES, FOLDS, strength
@@ -64,10 +64,14 @@ def test_subdivision_reproduces_planes_and_splits_every_triangle():
     assert np.allclose(uv.mean(axis=1).reshape(-1, 4, 2).mean(axis=1), points[faces][..., :2].mean(axis=1))
 
 
+def line(nodes: np.ndarray, width: float) -> Strands:
+    return Strands(nodes, np.ones((1, 2, 3)), np.full((1, 2), width))
+
+
 def test_a_line_covers_its_length_times_its_width():
     color, alpha = np.zeros((40, 40, 3), np.float32), np.zeros((40, 40), np.float32)
     nodes = np.array([[(5.5, 20.0, 1.0), (25.5, 20.0, 1.0)]])
-    draw_strands(nodes, np.ones((1, 2, 3)), np.full((1, 2), 2.0), np.full((40, 40), np.inf, np.float32), color, alpha)
+    draw_strands([line(nodes, 2.0)], np.full((40, 40), np.inf, np.float32), color, alpha)
     assert np.isclose(alpha.sum(), 20 * 2.0, rtol=0.05)
     assert np.allclose(color[..., 0], alpha, atol=1e-6)
 
@@ -77,7 +81,7 @@ def test_thin_lines_weigh_the_same_in_every_direction(angle):
     color, alpha = np.zeros((64, 64, 3), np.float32), np.zeros((64, 64), np.float32)
     step = 20 * np.array([np.cos(angle), np.sin(angle)])
     nodes = np.array([[(*(32.2 - step), 1.0), (*(32.2 + step), 1.0)]])
-    draw_strands(nodes, np.ones((1, 2, 3)), np.full((1, 2), 0.5), np.full((64, 64), np.inf, np.float32), color, alpha)
+    draw_strands([line(nodes, 0.5)], np.full((64, 64), np.inf, np.float32), color, alpha)
     assert np.isclose(alpha.sum(), 40 * 0.5, rtol=0.12)
 
 
@@ -85,7 +89,7 @@ def test_strands_hide_behind_surfaces():
     color, alpha = np.zeros((40, 40, 3), np.float32), np.zeros((40, 40), np.float32)
     depth = np.full((40, 40), 0.9, np.float32)
     nodes = np.array([[(5.5, 20.0, 1.0), (25.5, 20.0, 1.0)]])
-    draw_strands(nodes, np.ones((1, 2, 3)), np.full((1, 2), 2.0), depth, color, alpha)
+    draw_strands([line(nodes, 2.0)], depth, color, alpha)
     assert alpha.max() == 0
 
 
