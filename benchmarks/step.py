@@ -1,0 +1,148 @@
+"""A training step and each of its pieces beside the twin in plain torch, forward and backward, in turn."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from benchmarks.measure import Timing, cores, interleaved, threads
+from benchmarks.step_scene import StepScene
+from ggavatar.binding import bind, bind_in_torch
+from ggavatar.dssim import dssim, dssim_in_torch
+from ggavatar.fields import HashTriplane, lookup_in_torch
+from ggavatar.losses import l1, position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
+from ggavatar.offsets import Offsets, refine, refine_in_torch
+from ggavatar.perceptron import in_torch, perceptron
+
+COUNT, SIZE = 50_000, 512
+QUICK_COUNT, QUICK_SIZE = 5_000, 128
+
+Call = Callable[[], object]
+
+
+def pieces(scene: StepScene) -> dict[str, tuple[Call, Call]]:
+    """Every compiled piece and its twin on the same inputs."""
+    generator = torch.Generator().manual_seed(1)
+    image = torch.rand(scene.size, scene.size, 3, generator=generator).requires_grad_()
+    rows = scene.rows
+    local = rows["means"], rows["quats"], rows["log_scales"]
+    means, quats, scales = (value.detach().requires_grad_() for value in scene.placed(scene.neutral))
+    offsets = torch.randn(scene.count, 10, generator=generator).mul_(0.1).requires_grad_()
+    visible = torch.rand(scene.count, generator=generator) < 0.8
+    drawn = [
+        torch.randn(scene.count, width, generator=generator) for width in (3, 4, 3, 10, scene.adjuster.field.width)
+    ]
+    shape = drawn[:3]
+    return {
+        "dssim": (
+            backward(lambda: [dssim(image, scene.kept_target)]),
+            backward(lambda: [dssim_in_torch(image, scene.kept_target)]),
+        ),
+        "l1": (
+            backward(lambda: [l1(image, scene.target)]),
+            backward(lambda: [torch.nn.functional.l1_loss(image, scene.target)]),
+        ),
+        "regularisers": (
+            backward(lambda: [position_regulariser(rows["means"], visible), scale_regulariser(scales, visible)]),
+            backward(lambda: [position_in_torch(rows["means"], visible), scale_in_torch(scales, visible)]),
+        ),
+        "bind": (
+            backward(lambda: bind(*local, scene.face, scene.neutral), shape),
+            backward(lambda: bind_in_torch(*local, scene.face, scene.neutral), shape),
+        ),
+        "refine": (
+            backward(lambda: refine(means, quats, scales, Offsets(offsets)), shape),
+            backward(lambda: refine_in_torch(means, quats, scales, Offsets(offsets)), shape),
+        ),
+        **field_pieces(scene, drawn[3], drawn[4]),
+    }
+
+
+def field_pieces(scene: StepScene, upstream: Tensor, to_features: Tensor) -> dict[str, tuple[Call, Call]]:
+    """The tri-plane, the network behind it, and both with the latent network."""
+    adjuster, x = scene.adjuster, scene.positions()
+    field = adjuster.field
+    assert isinstance(field, HashTriplane)
+    unit = field.box.normalise(x)
+    features = field(x).detach().requires_grad_()
+
+    def layers() -> list[tuple[Tensor, Tensor]]:
+        weight, bias = adjuster._contracted(adjuster.latent(scene.condition))
+        return [(part.weight, part.bias) for part in (adjuster.first, adjuster.second)] + [(weight, bias)]
+
+    def look_up() -> Tensor:
+        return lookup_in_torch(unit, field.tables, field.levels)
+
+    return {
+        "triplane": (backward(lambda: [field(x)], [to_features]), backward(lambda: [look_up()], [to_features])),
+        "network": (
+            backward(lambda: [perceptron(features, *layers())], [upstream]),
+            backward(lambda: [in_torch(features, *layers())], [upstream]),
+        ),
+        "adjuster": (
+            backward(lambda: [adjuster(x, scene.condition).rows], [upstream]),
+            backward(lambda: [in_torch(look_up(), *layers())], [upstream]),
+        ),
+    }
+
+
+def backward(outputs: Callable[[], Sequence[Tensor]], upstream: Sequence[Tensor] | None = None) -> Call:
+    """Forward and backward of some outputs."""
+
+    def call() -> None:
+        torch.autograd.backward(tuple(outputs()), upstream)
+
+    return call
+
+
+def single_pieces(scene: StepScene) -> dict[str, Call]:
+    """Pieces for which torch is good enough, and the rasteriser for comparison."""
+    incoming = torch.randn(scene.size, scene.size, 3, generator=torch.Generator().manual_seed(2))
+    for parameter in [*scene.rows.values(), *scene.adjuster.parameters()]:
+        parameter.grad = torch.zeros_like(parameter)
+
+    def rasterise() -> None:
+        scene.draw(adjusted=False).image.backward(incoming)
+
+    return {
+        "bind_and_rasterise": rasterise,
+        "skinned_head_and_frames": scene.posed_frames,
+        "adam_of_rows": scene.optimizers[0].step,
+        "adam_of_adjuster": scene.optimizers[1].step,
+    }
+
+
+def compare(scene: StepScene, rounds: int) -> dict[str, object]:
+    """Every piece at one thread: ours, the twin, and how many times faster ours is in CPU time."""
+    found: dict[str, object] = {}
+    for name, (ours, twin) in pieces(scene).items():
+        timing = interleaved({"compiled": ours, "torch": twin}, rounds)
+        found[name] = {kind: value.as_dict() for kind, value in timing.items()} | {"ratio": ratio(timing)}
+    for name, call in single_pieces(scene).items():
+        found[name] = {"ours": interleaved({name: call}, rounds)[name].as_dict()}
+    return found
+
+
+def ratio(timing: dict[str, Timing]) -> float:
+    """CPU time of the twin over ours."""
+    return round(timing["torch"].cpu_ms / timing["compiled"].cpu_ms, 1)
+
+
+def whole_steps(scene: StepScene, rounds: int) -> dict[str, object]:
+    """Both phases of the schedule, without a perceptual term."""
+    phases = {"neutral": lambda: scene.step(adjusted=False), "adjusted": lambda: scene.step(adjusted=True)}
+    return {name: interleaved({name: call}, rounds, warm_up=3)[name].as_dict() for name, call in phases.items()}
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Pieces at one thread, whole steps at one thread and at all cores."""
+    wall_threads, rounds = options.threads or cores(), options.repeats or 7
+    scene = StepScene(QUICK_COUNT, QUICK_SIZE) if options.quick else StepScene(COUNT, SIZE)
+    with threads(1):
+        result: dict[str, object] = {"one_thread": whole_steps(scene, 3 * rounds), "pieces": compare(scene, rounds)}
+    with threads(wall_threads):
+        result["all_cores"] = whole_steps(scene, 3 * rounds)
+    return {"gaussians": scene.count, "size": scene.size, "wall_threads": wall_threads} | result

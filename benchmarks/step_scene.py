@@ -1,0 +1,123 @@
+"""A training step of the paper's method on the procedural head: bound Gaussians, adjuster, losses, Adam."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from torch import Tensor, nn
+
+from ggavatar.binding import bind
+from ggavatar.core import Camera, Drive, Gaussians, Rendering
+from ggavatar.deform import AdjusterConfig, BasisAdjuster
+from ggavatar.dssim import DssimTarget
+from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
+from ggavatar.geometry import TriangleFrames, look_at, triangle_frames
+from ggavatar.head.model import HeadModel
+from ggavatar.head.procedural import procedural_head
+from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.offsets import Offsets, refine
+from ggavatar.render import cpu
+
+DISTANCE = 1.0
+"""Between head and camera, m."""
+
+
+class StepScene:
+    """Everything that a step reads and learns.
+
+    Args:
+        count: Gaussians, drawn evenly over the triangles.
+        size: Width and height of the image, px.
+    """
+
+    def __init__(self, count: int, size: int) -> None:
+        generator = torch.Generator().manual_seed(0)
+        self.count, self.size = count, size
+        self.head: HeadModel = procedural_head()
+        self.neutral = triangle_frames(self.head.neutral(), self.head.faces)
+        self.face = torch.randint(0, len(self.head.faces), (count,), generator=generator)
+        self.rows = nn.ParameterDict(_first_rows(count, len(self.head.faces), generator))
+        self.camera, self.background = _camera(self.head, size), torch.ones(3)
+        self.target = torch.rand(size, size, 3, generator=generator)
+        self.kept_target = DssimTarget.of(self.target)
+        field = HashTriplane(HashTriplaneConfig(), Box.around(self.head.neutral()), generator)
+        self.condition = torch.randn(120, generator=generator)
+        self.adjuster = BasisAdjuster(field, len(self.condition), AdjusterConfig(), generator)
+        nn.init.normal_(self.adjuster.last_weight, std=0.02, generator=generator)
+        expression = 0.3 * torch.randn(self.head.expression_basis.shape[2], generator=generator)
+        self.drive: Drive = dataclasses.replace(self.head.neutral_drive(), expression=expression)
+        self.optimizers = [_adam(self.rows), _adam(self.adjuster)]
+
+    def positions(self) -> Tensor:
+        """Neutral positions, the field's keys."""
+        with torch.no_grad():
+            return self.placed(self.neutral)[0]
+
+    def placed(self, frames: TriangleFrames) -> tuple[Tensor, Tensor, Tensor]:
+        """The Gaussians on some triangles."""
+        return bind(self.rows["means"], self.rows["quats"], self.rows["log_scales"], self.face, frames)
+
+    def posed_frames(self) -> TriangleFrames:
+        """The triangles of the head in an expression."""
+        with torch.no_grad():
+            return triangle_frames(self.head.vertices(self.drive), self.head.faces)
+
+    def offsets(self) -> Offsets:
+        """What the adjuster adds."""
+        return self.adjuster(self.positions(), self.condition)
+
+    def draw(self, adjusted: bool) -> Rendering:
+        """The image of one phase."""
+        means, quats, scales = self.placed(self.posed_frames() if adjusted else self.neutral)
+        if adjusted:
+            means, quats, scales = refine(means, quats, scales, self.offsets())
+        opacities = self.rows["opacity_logits"].sigmoid()
+        gaussians = Gaussians(means, quats, scales, opacities, self.rows["sh"], 3)
+        return cpu.rasterize(gaussians, self.camera, self.background)
+
+    def objective(self, drawn: Rendering) -> Tensor:
+        """The paper's objective without the perceptual term."""
+        visible = drawn.radii > 0
+        colour = 0.8 * l1(drawn.image, self.target) + 0.2 * dssim(drawn.image, self.kept_target)
+        position = position_regulariser(self.rows["means"], visible)
+        return colour + 0.01 * position + scale_regulariser(self.rows["log_scales"].exp(), visible)
+
+    def step(self, adjusted: bool) -> None:
+        """Forward, backward and Adam."""
+        self.objective(self.draw(adjusted)).backward()
+        for optimizer in self.optimizers if adjusted else self.optimizers[:1]:
+            optimizer.step()
+            optimizer.zero_grad(set_to_none=True)
+
+
+def _first_rows(count: int, faces: int, generator: torch.Generator) -> dict[str, nn.Parameter]:
+    """Flat Gaussians that cover their triangles, opacities the sigmoid of N(0.6, 1.6), harmonics of degree 3."""
+
+    def draw(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    flat = torch.tensor([1.0, 0.25, 1.0])
+    spread = 0.62 * (faces / count) ** 0.5
+    values = {
+        "means": 0.4 * draw(count, 3) * flat,
+        "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]) + 0.1 * draw(count, 4),
+        "log_scales": (spread * flat).log() + 0.3 * draw(count, 3),
+        "opacity_logits": 0.6 + 1.6 * draw(count),
+        "sh": 0.1 * draw(count, 16, 3),
+    }
+    return {name: nn.Parameter(value) for name, value in values.items()}
+
+
+def _camera(head: HeadModel, size: int) -> Camera:
+    low, high = head.neutral().amin(0), head.neutral().amax(0)
+    center = (low + high) / 2
+    focal = 0.9 * size * DISTANCE / float((high - low).max())
+    intrinsics = torch.tensor([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
+    eye = center + torch.tensor([0.0, 0.0, DISTANCE])
+    return Camera(intrinsics, look_at(eye, center, torch.tensor([0.0, 1.0, 0.0])), size, size)
+
+
+def _adam(module: nn.Module) -> torch.optim.Optimizer:
+    """A rate so small that hundreds of steps leave the scene as it is."""
+    return torch.optim.Adam(module.parameters(), lr=1e-7, eps=1e-15, fused=True)
