@@ -243,6 +243,9 @@ def _pickle_bytes(path: Path) -> bytes:
             return stream.read(inside[0].file_size)
 
 
+_PLAIN = (str, bytes, int, float, complex, set, frozenset, np.ndarray)
+
+
 class _Unfolding:
     """Replaces stand-ins by arrays; shared parts are converted once, so a small file cannot unfold into a large one."""
 
@@ -274,6 +277,8 @@ class _Unfolding:
             return {key: self.plain(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
             return type(value)(self.plain(item) for item in value)
+        if value is not None and not isinstance(value, _PLAIN):
+            raise _Refused(f"{type(value).__name__} where a value is expected")
         return value
 
     def _record(self, value: _Record) -> np.ndarray:

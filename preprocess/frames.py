@@ -83,17 +83,18 @@ class Selection:
         Stops decoding where nothing more can follow.
         """
         first, stop, step = self.numbers.start or 0, self.numbers.stop, self.numbers.step or 1
-        last_tick = -1
+        due, before = 0.0, None
         for frame in frames:
             if frame.time > self.end + 1e-6 or (stop is not None and frame.number >= stop):
                 return
             if frame.time < self.start - 1e-6 or frame.number < first or (frame.number - first) % step:
                 continue
-            # A quarter of an interval of tolerance, so that jitter in time stamps does not drop frames of a source of
-            # just this rate.
-            tick = math.floor(frame.time * self.fps + 0.25) if self.fps else last_tick + 1
-            if tick > last_tick:
-                last_tick = tick
+            # Half a source interval of tolerance, so that jitter in time stamps drops no frame of a source of just
+            # this rate.
+            early = frame.time + (0.0 if before is None else 0.5 * (frame.time - before))
+            before = frame.time
+            if self.fps is None or early >= due:
+                due = (math.floor(early * self.fps) + 1) / self.fps if self.fps else due
                 yield frame
 
 

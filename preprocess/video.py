@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -72,7 +73,7 @@ class Video:
                 last = seconds
                 yield DecodedFrame(number, seconds - zero, width, height, partial(_upright, frame))
                 number += 1
-            self._compare_length(stream, number, last)
+            self._compare_length(container, stream, number, last)
 
     def _decoded(self, container: Any, stream: Any) -> Iterator[Any]:
         """Frames of all packets; a damaged packet loses its frame only."""
@@ -93,22 +94,33 @@ class Video:
         if damaged:
             self._losses.append(f"{damaged} damaged packets were skipped")
 
-    def _compare_length(self, stream: Any, count: int, last: float) -> None:
+    def _compare_length(self, container: Any, stream: Any, count: int, last: float) -> None:
         """Note when the stream is shorter than it says; a count alone proves nothing, edit lists make it lie."""
-        if not stream.duration or not stream.time_base or count == 0:
+        stated = _stated_seconds(container, stream)
+        if stated is None or count == 0:
             return
-        start = float((stream.start_time or 0) * stream.time_base)
-        stated, step = float(stream.duration * stream.time_base), 1 / float(stream.average_rate or 25)
+        start, step = float((stream.start_time or 0) * stream.time_base), 1 / float(stream.average_rate or 25)
         missing = start + stated - (last + step)
         if missing > max(0.5, 2.5 * step):
             self._losses.append(
-                f"the file says {stated:.1f} s, but it ends {missing:.1f} s earlier after {count} frames; it is "
-                "probably cut off"
+                f"the file says {stated:.1f} s, but it ends {missing:.1f} s earlier after {count} frames; "
+                "it is probably cut off"
             )
 
     def losses(self) -> list[str]:
         """What could not be decoded, in words; complete once `frames` has ended."""
         return list(self._losses)
+
+
+def _stated_seconds(container: Any, stream: Any) -> float | None:
+    """How long the video stream says it is; Matroska keeps that in a tag, or only for the whole file."""
+    if stream.duration:
+        return float(stream.duration * stream.time_base)
+    tag = re.fullmatch(r"(\d+):(\d+):(\d+(?:\.\d+)?)", stream.metadata.get("DURATION", ""))
+    if tag:
+        return 3600 * int(tag[1]) + 60 * int(tag[2]) + float(tag[3])
+    alone = all(other.type == "video" for other in container.streams)
+    return container.duration / 1e6 if container.duration and alone else None
 
 
 def _is_cover(stream: Any) -> bool:
