@@ -6,22 +6,38 @@ depend on the number of threads, two callers never disturb each other, and a for
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import os
 import sys
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import torch
+from numba.core.event import Event, Listener, register
+
+
+def source_digest(folder: Path) -> str:
+    """Digest of the sources in `folder` that kernels are made of.
+
+    Numba compares only the file of a kernel itself with its cache; a change in a file that it inlines would go unnoticed.
+    """
+    digest = hashlib.sha256(Path(__file__).read_bytes())
+    at_the_top = folder == Path(__file__).parent
+    for path in sorted(folder.glob("*.py")):
+        text = path.read_bytes()
+        if not at_the_top or b"ggavatar.compiled" in text:
+            digest.update(path.name.encode() + b"\0" + text)
+    return digest.hexdigest()[:12]
 
 
 def cache_folder() -> Path:
-    """The per-user folder for compiled kernels: $GGAVATAR_CACHE, else the user's cache, else a folder in the temporary directory."""
+    """The per-user folder for compiled kernels: $GGAVATAR_CACHE, else the user's cache, else a temporary one."""
     wanted = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     for base in (Path(wanted), Path(tempfile.gettempdir())):
         folder = base / "ggavatar" / "kernels"
@@ -34,20 +50,37 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="ggavatar-kernels-"))
 
 
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    numba.config.CACHE_DIR = str(cache_folder())
+CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else cache_folder()
+_digests: dict[Path, str] = {}
+
+
+def _cache_for(function: Callable[..., Any]) -> None:
+    """Point Numba, which reads this when it decorates a function, to the cache of the function's present sources."""
+    if CACHE is not None:
+        folder = Path(inspect.getfile(function)).parent
+        digest = _digests.setdefault(folder, _digests.get(folder) or source_digest(folder))
+        numba.config.CACHE_DIR = str(CACHE / digest)
+
+
+OPTIONS = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",  # division by zero follows IEEE
+    "boundscheck": False,
+    "fastmath": {"contract", "nsz", "arcp"},  # contraction to fused multiply-add, but no reordering
+}
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a kernel on its first call, cached on disk. Division by zero follows IEEE, contraction to fused multiply-add is allowed."""
-    options = {"cache": True, "nogil": True, "error_model": "numpy", "boundscheck": False, "fastmath": {"contract", "nsz", "arcp"}}
-    return numba.njit(**options)(inspect.unwrap(function))  # unwrapped: tests check types through decorators
+    """Compile a kernel on its first call, cached on disk."""
+    plain = inspect.unwrap(function)  # tests check types through decorators
+    _cache_for(plain)
+    return numba.njit(**OPTIONS)(plain)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A helper of kernels, inlined by LLVM."""
-    options = {"cache": True, "nogil": True, "error_model": "numpy", "boundscheck": False, "fastmath": {"contract", "nsz", "arcp"}}
-    return numba.njit(inline="never", forceinline=True, **options)(inspect.unwrap(function))
+    """A helper of kernels, inlined by LLVM. It is not cached itself: that would only double the work of the first compilation."""
+    return numba.njit(inline="never", forceinline=True, **(OPTIONS | {"cache": False}))(inspect.unwrap(function))
 
 
 _pools: dict[int, ThreadPoolExecutor] = {}
@@ -78,10 +111,14 @@ def run(task: Callable[[int], None], count: int) -> None:
             task(index)
 
     helpers: list[Future[None]] = [pool.submit(work) for _ in range(threads - 1)]
-    work()
-    for helper in helpers:
-        if not helper.cancel():
-            helper.result()
+    try:
+        work()
+    finally:
+        # One that has not begun (its thread is busy for another caller) is not waited for: the work is done without it.
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()
 
 
 def workers() -> int:
@@ -98,6 +135,26 @@ def share(function: Callable[..., Any], pieces: int, *arguments: Any) -> None:
     run(lambda _: function(tickets, *arguments), min(workers(), pieces))
 
 
+_told: set[str] = set()
+
+
 def announce(what: str) -> None:
-    """Say on stderr that a first compilation is under way, since it takes seconds."""
-    sys.stderr.write(f"compiling {what} for this processor (once; kept in {numba.config.CACHE_DIR})\n")
+    """Say on stderr, once per process, that a first compilation is under way, since it takes seconds."""
+    if what not in _told:
+        _told.add(what)
+        sys.stderr.write(f"compiling {what} for this processor (once; kept in {CACHE or numba.config.CACHE_DIR})\n")
+
+
+class _Announcer(Listener):
+    """Hears of every compilation that the cache could not spare."""
+
+    def on_start(self, event: Event) -> None:
+        module = event.data["dispatcher"].py_func.__module__ or ""
+        if module.split(".")[0] in ("ggavatar", "preprocess", "evaluate"):
+            announce("kernels")
+
+    def on_end(self, event: Event) -> None:
+        """Nothing to say."""
+
+
+register("numba:compile", _Announcer())

@@ -21,7 +21,6 @@ TILES_PER_TICKET = 4
 
 BLOCK = 4
 LOG2_MIN_ALPHA = np.float32(math.log2(MIN_ALPHA))
-LEAST_POWER = np.float32(-126)
 MOST = np.float32(MAX_ALPHA)
 LEAST_LIGHT = np.float32(MIN_TRANSMITTANCE)
 
@@ -75,9 +74,9 @@ def spread(record, dx, dy):
 
 @inlined
 def coverage(u, v, opacity):
-    """log2 of alpha before its limits, and 2 to that; the second holds no meaning far outside of the ellipse."""
+    """log2 of alpha before its limits, and 2 to that; the second can be anything, NaN too, far outside of the ellipse."""
     power = fma(negate(u), u, fma(negate(v), v, opacity))
-    return power, exp2(maximum(power, LEAST_POWER))
+    return power, exp2(power)
 
 
 @inlined

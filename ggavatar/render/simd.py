@@ -151,12 +151,15 @@ splat = _elementwise(1, lambda builder, a: a)
 
 
 def _exp2(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
-    """2 to the x for x in [-126, 127]: x = n + f with |f| ≤ ½, a polynomial for f, and n added to the exponent bits."""
+    """2 to the x for x in [-126, 127], relative error 2.6e-6; anything for other x.
+
+    x = n + f with |f| ≤ ½; a minimax polynomial for 2 to the f, and n added to its exponent bits.
+    """
     magic = constant(12582912.0)  # 1.5 · 2²³: adding it leaves round(x) in the low bits
     shifted = builder.fadd(x, magic)
     fraction = builder.fsub(x, builder.fsub(shifted, magic))
-    value = constant(1.3398874e-3)
-    for coefficient in (9.6184373e-3, 5.5503324e-2, 2.4022648e-1, 6.9314720e-1, 1.0):
+    value = constant(0.0095701)
+    for coefficient in (0.05591786, 0.24024745, 0.69312181, 0.99999926):
         value = call(builder, "llvm.fma.v16f32", [value, fraction, constant(coefficient)])
     exponent = builder.shl(builder.bitcast(shifted, _INTS), constant(23, _I32))
     return builder.bitcast(builder.add(builder.bitcast(value, _INTS), exponent), _VECTOR)
