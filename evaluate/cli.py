@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ from rich.console import Console
 
 from evaluate.faces import FaceMetrics
 from evaluate.options import Options, parse
-from evaluate.outputs import build_tables, write_tables
+from evaluate.outputs import build_tables, write_copies, write_tables
 from evaluate.pairing import pair_folders
 from evaluate.protocol import Protocol
 from evaluate.regression import Check, check_limits, compare, parse_limits, to_github, write_junit
@@ -38,7 +39,7 @@ def _evaluate(options: Options) -> int:
     evaluations, written = _gather(options, console)
     tables = build_tables(evaluations, options.layout, options.with_paper)
     folder = _table_folder(options)
-    written += write_tables(tables, folder)
+    written += write_tables(tables, folder, _behind(options, evaluations, folder))
     if not options.no_report:
         written += _visuals(options, evaluations, folder, console)
     if options.table:
@@ -53,6 +54,16 @@ def _evaluate(options: Options) -> int:
         for path in written:
             console.print(f"wrote {path}", markup=False, highlight=False)
     return _finish(options, evaluations, written, checks)
+
+
+def _behind(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
+    """The result files behind the tables: the one that was scored or read, or copies of several beside the table."""
+    if len(evaluations) > 1 or options.labels:
+        return write_copies(evaluations, folder)
+    if options.folders.pred:
+        return [folder / METRICS_FILE]
+    path = options.runs[0]
+    return [path if path.is_file() else _home(path, evaluations[0]) / METRICS_FILE]
 
 
 def _finish(options: Options, evaluations: list[Evaluation], written: list[Path], checks: list[Check]) -> int:
@@ -101,6 +112,9 @@ def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[
         evaluation, files = evaluate_run(path, options, lambda title: _progress(options, console, title))
         evaluations.append(evaluation)
         written += files
+    if options.labels:
+        pairs = zip(evaluations, options.labels, strict=True)
+        evaluations = [dataclasses.replace(evaluation, method=label) for evaluation, label in pairs]
     return evaluations, written
 
 

@@ -106,7 +106,7 @@ def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
         if key in seen:
             raise InputError(
                 f"two evaluations of {evaluation.method} on {evaluation.subject} with seed {evaluation.seed} under "
-                f"{evaluation.protocol.id}; leave one out, or name them apart with --method or --subject"
+                f"{evaluation.protocol.id}; leave one out, or name them apart with --labels"
             )
         seen.add(key)
         groups.setdefault(evaluation.protocol.digest, []).append(evaluation)
@@ -116,7 +116,7 @@ def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
             if evaluation.seed is None and len(study.runs(evaluation.subject, evaluation.method)) > 1:
                 raise InputError(
                     f"several evaluations of {evaluation.method} on {evaluation.subject}, one of them without a seed; "
-                    "score it again with --seed, or name them apart with --method"
+                    "score it again with --seed, or name them apart with --labels"
                 )
     return found
 

@@ -89,6 +89,8 @@ class Options:
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Run folders, evaluation folders or metrics.json files; any mixture."""
+    labels: tuple[str, ...] = ()
+    """Names of the methods in the table, one per run, in order; the runs' own by default."""
     table: bool = False
     """Print the table (its files are always written)."""
     protocol: str = "auto"
@@ -145,4 +147,7 @@ def parse(arguments: list[str] | None) -> Options:
         raise InputError("expected either run folders or --pred and --gt, found both; call the command twice")
     if not any(given) and not options.runs:
         raise InputError("expected a run folder, a metrics.json, or --pred DIR --gt DIR; see ggavatar-eval --help")
+    if options.labels and len(options.labels) != len(options.runs):
+        found = f"{len(options.labels)} for {len(options.runs)} runs"
+        raise InputError(f"expected one of --labels per run, found {found}; name them in the order of the runs")
     return options

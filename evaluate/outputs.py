@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from evaluate import (
 from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
 from evaluate.detail_table import detail_table, efficiency_table, significance_table
 from evaluate.paper_table import ablation_with_paper, with_paper
-from evaluate.results import Evaluation, write_text
+from evaluate.results import Evaluation, to_json, write_text
 from evaluate.table import Table
 
 LAYOUTS = ("auto", "subjects", "ablation")
@@ -22,7 +24,6 @@ RENDERERS = {
     "md": render_table_markdown.to_markdown,
     "tex": render_table_latex.to_latex,
     "csv": render_table_data.to_csv,
-    "json": render_table_data.to_json,
     "html": render_table_html.to_page,
 }
 
@@ -54,11 +55,27 @@ def _main_table(study: Study, layout: str, paper: bool) -> Table:
     return with_paper(study) if paper else subjects_table(study)
 
 
-def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
-    """Write `table.md`, `.tex`, `.csv`, `.json` and `.html` atomically and return their paths."""
+def write_tables(tables: Sequence[Table], folder: Path, results: Sequence[Path]) -> list[Path]:
+    """Write `table.md`, `.tex`, `.csv`, `.json` and `.html` atomically and return their paths.
+
+    Args:
+        tables: From `build_tables`.
+        folder: Where to write.
+        results: The result files behind the tables; `table.json` lists them relative to the folder.
+    """
+    relative = [Path(os.path.relpath(path, folder)).as_posix() for path in results]
+    texts = {f"table.{suffix}": render(tables) for suffix, render in RENDERERS.items()}
+    texts["table.json"] = render_table_data.to_json(tables, relative)
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    return [folder / name for name in texts]
+
+
+def write_copies(evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
+    """Write the results behind a table of several beside it, under the labels of the table."""
     paths = []
-    for suffix, render in RENDERERS.items():
-        path = folder / f"table.{suffix}"
-        write_text(path, render(tables))
-        paths.append(path)
+    for place, evaluation in enumerate(evaluations):
+        name = re.sub(r"[^A-Za-z0-9._-]", "-", f"{place:02d}-{evaluation.subject}-{evaluation.method}")
+        paths.append(folder / "results" / f"{name[:80]}.json")
+        write_text(paths[-1], to_json(evaluation.as_dict()))
     return paths

@@ -26,7 +26,17 @@ def to_csv(tables: Sequence[Table]) -> str:
     return stream.getvalue()
 
 
-def to_json(tables: Sequence[Table]) -> str:
-    """All tables with their captions and notes."""
-    content = {"schema": "ggavatar-tables", "version": 1, "tables": [table.as_dict() for table in tables]}
+def to_json(tables: Sequence[Table], results: Sequence[str] = ()) -> str:
+    """All tables with their captions and notes, and where the results lie that they were made from.
+
+    Args:
+        tables: What to write.
+        results: Paths of result files, relative to the table's folder.
+    """
+    content = {
+        "schema": "ggavatar-tables",
+        "version": 1,
+        "results": list(results),
+        "tables": [table.as_dict() for table in tables],
+    }
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"

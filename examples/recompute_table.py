@@ -1,4 +1,4 @@
-"""Compute every number of a table again: python recompute_table.py table.json metrics.json [metrics.json ...]."""
+"""Compute every number of a table again from the results it lists: python recompute_table.py table.json."""
 
 import json
 import sys
@@ -20,8 +20,10 @@ def number(result, kind, metric):
     return fmean(best_first[-ceil(len(values) / 20) :]) if kind == "worst_5_percent" else known.get(kind, fmean)(values)
 
 
-tables, *results = [json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:]]
-for table in tables["tables"]:
+file = Path(sys.argv[1])
+content = json.loads(file.read_text(encoding="utf-8"))
+results = [json.loads((file.parent / name).read_text(encoding="utf-8")) for name in content["results"]]
+for table in content["tables"]:
     for label, cell in [(row["label"], cell) for row in table["rows"] for cell in row["cells"] if cell["source"]]:
         kind, subjects, methods, metric, seed = cell["source"].values()
         mine = [r for r in results if r["protocol"]["id"] == table["protocol"] and seed in (None, r["seed"])]

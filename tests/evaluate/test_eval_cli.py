@@ -41,7 +41,7 @@ def test_the_paths_written_are_the_last_lines(tmp_path: Path, capsys: pytest.Cap
     write_folders(tmp_path, [1])
     folders = ["--pred", str(tmp_path / "pred"), "--gt", str(tmp_path / "gt")]
     assert main([*folders, "--no-report", "--metrics", "psnr", "--table"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"wrote {tmp_path / 'pred-evaluation' / 'table.html'}"
+    assert capsys.readouterr().out.splitlines()[-1] == f"wrote {tmp_path / 'pred-evaluation' / 'table.json'}"
 
 
 def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
@@ -121,6 +121,12 @@ def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytes
     assert "33.61" in text
     assert "one − two" in text
     assert len((tmp_path / "all" / "table.csv").read_text().splitlines()) > 100
+    copies = json.loads((tmp_path / "all" / "table.json").read_text())["results"]
+    assert copies == ["results/00-Anna-one.json", "results/01-Anna-two.json"]
+    assert main([*results, "-o", str(tmp_path / "again"), "--no-report", "--quiet", "--labels", "x", "y"]) == 0
+    assert "x − y" in (tmp_path / "again" / "table.md").read_text()
+    assert json.loads((tmp_path / "again" / "results" / "01-Anna-y.json").read_text())["method"] == "y"
+    assert main([*results, "--labels", "x"]) == 2
 
 
 def test_masks_and_region_masks_become_columns(tmp_path: Path) -> None:

@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 from evaluations import evaluation
 
-from evaluate.outputs import build_tables, write_tables
-from evaluate.results import write_results
+from evaluate.outputs import build_tables, write_copies, write_tables
 
 SCRIPT = Path(__file__).parents[2] / "examples" / "recompute_table.py"
 
 
-def write_study(folder: Path) -> list[str]:
-    """Two subjects, three methods, one of them with two seeds; returns the arguments of the script."""
+def write_study(folder: Path) -> list[Path]:
+    """Two subjects, three methods, one of them with two seeds; returns the result files."""
     random = np.random.default_rng(0)
     runs = []
     for subject in ("Anna", "Bert"):
@@ -28,22 +27,23 @@ def write_study(folder: Path) -> list[str]:
             runs.append(evaluation(subject, method, columns[0], columns[1], lpips, seed))
     costs = {"fps": 31.5, "gaussians": 5000, "model_megabytes": None}
     runs[0] = dataclasses.replace(runs[0], efficiency=costs)
-    write_tables(build_tables(runs, paper=True), folder)
-    paths = [write_results(run, folder / str(place))[0] for place, run in enumerate(runs)]
-    return [str(folder / "table.json"), *map(str, paths)]
+    paths = write_copies(runs, folder)
+    write_tables(build_tables(runs, paper=True), folder / "tables", paths)
+    return paths
 
 
-def recompute(arguments: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, str(SCRIPT), *arguments], capture_output=True, text=True, check=False)
+def recompute(folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(SCRIPT), str(folder / "tables" / "table.json")]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_every_number_is_found_again(tmp_path: Path) -> None:
-    arguments = write_study(tmp_path)
-    done = recompute(arguments)
+    write_study(tmp_path)
+    done = recompute(tmp_path)
     assert done.returncode == 0, done.stderr
     cells = [
         cell
-        for table in json.loads((tmp_path / "table.json").read_text())["tables"]
+        for table in json.loads((tmp_path / "tables" / "table.json").read_text())["tables"]
         for row in table["rows"]
         if row["section"] != "paper (protocol not stated)"
         for cell in row["cells"]
@@ -58,11 +58,11 @@ def test_every_number_is_found_again(tmp_path: Path) -> None:
 
 
 def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
-    arguments = write_study(tmp_path)
-    content = json.loads(Path(arguments[1]).read_text())
+    first = write_study(tmp_path)[0]
+    content = json.loads(first.read_text())
     content["per_frame"]["psnr"][3] += 0.01
-    Path(arguments[1]).write_text(json.dumps(content))
-    done = recompute(arguments)
+    first.write_text(json.dumps(content))
+    done = recompute(tmp_path)
     assert done.returncode == 1
     assert "does not follow" in done.stderr
 
@@ -70,4 +70,4 @@ def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
 def test_the_script_is_short() -> None:
     lines = SCRIPT.read_text(encoding="utf-8").splitlines()
     code = [line for line in lines if line.strip() and not line.strip().startswith(('"""', "import", "from"))]
-    assert len(code) <= 22
+    assert len(code) <= 24
