@@ -59,6 +59,7 @@ class Clip:
         seen: Whether a face was found.
         size: Width and height of the images, px.
         fps: Frames a second.
+        center: Principal point, px; None is the image's centre.
     """
 
     points: Float[np.ndarray, "T 478 2"]
@@ -66,6 +67,7 @@ class Clip:
     seen: Bool[np.ndarray, " T"]
     size: tuple[int, int]
     fps: float
+    center: tuple[float, float] | None = None
 
     def observations(self, trust: Float[np.ndarray, " 468"], error: float) -> Observations:
         """Landmarks on the skin with inverse variances trust / error²; `error` in px."""
@@ -94,8 +96,48 @@ class ClipFit:
     energy: tuple[float, float]
 
 
+@dataclass(frozen=True)
+class FoundCamera:
+    """The rigid part of a fit.
+
+    Attributes:
+        camera: Lens and head poses.
+        neutral: The face at resting scores, m.
+        focal_spread: Standard deviation of log focal length.
+        width: Of the face in the image, px.
+        smoothness: Penalty used for poses.
+    """
+
+    camera: Camera
+    neutral: Float[np.ndarray, "468 3"]
+    focal_spread: float
+    width: float
+    smoothness: float
+
+
+def find_camera(clip: Clip, face: CanonicalFace, focal: float | None, smooth: bool) -> FoundCamera:
+    """Focal length, head poses and neutral landmarks; see `fit_clip` for the arguments."""
+    trust = rigidity(face)
+    found, lens = _start(clip, face, trust, focal)
+    width = float(lens.focal * FACE_WIDTH / np.median(found.translations[:, 2]))
+    shared = clip.observations(trust, SHARED_ERROR * width)
+    keys = keyframes(clip, found)
+    start = Adjusted(lens, face.vertices, found[keys], 0.0)
+    adjusted = _adjust(shared[keys], face, start, clip.blendshapes[keys, 1:], focal is not None)
+    smoothness = penalty(POSE_CUTOFF, clip.fps) if smooth else 0.0
+    poses = initial_poses(shared, adjusted.shape, adjusted.lens)
+    camera = Camera(adjusted.lens, refine_poses(shared, adjusted.shape, adjusted.lens, poses, smoothness))
+    camera, neutral = _neutral(clip, shared, camera, adjusted.shape, (flexibility(face), smoothness))
+    return FoundCamera(camera, neutral, adjusted.focal_spread, width, smoothness)
+
+
 def fit_clip(
-    clip: Clip, face: CanonicalFace, generic: GenericHead, own: int, focal: float | None = None, smooth: bool = True
+    clip: Clip,
+    face: CanonicalFace,
+    generic: GenericHead,
+    own: int,
+    focal: float | None = None,
+    smooth: bool = True,
 ) -> ClipFit:
     """Fit everything that landmarks tell about a clip.
 
@@ -107,34 +149,17 @@ def fit_clip(
         focal: Known focal length, px; None finds it.
         smooth: Smooth head poses over time.
     """
-    trust = rigidity(face)
-    found, lens = _start(clip, face, trust, focal)
-    width = lens.focal * FACE_WIDTH / np.median(found.translations[:, 2])
-    shared = clip.observations(trust, SHARED_ERROR * width)
-    keys = keyframes(clip, found)
-    adjusted = _adjust(
-        shared[keys],
-        face,
-        Adjusted(lens, face.vertices, found[keys], 0.0),
-        clip.blendshapes[keys, 1:],
-        focal is not None,
-    )
-    exact = clip.observations(np.maximum(trust, 0.3), OWN_ERROR * width)
-    smoothness = penalty(POSE_CUTOFF, clip.fps) if smooth else 0.0
-    poses = refine_poses(
-        shared, adjusted.shape, adjusted.lens, initial_poses(shared, adjusted.shape, adjusted.lens), smoothness
-    )
-    camera = Camera(adjusted.lens, poses)
-    camera, neutral = _neutral(clip, shared, camera, adjusted.shape, (flexibility(face), smoothness))
-    shape = fit_shape(generic, neutral)
-    fit = _learn(clip, exact, camera, generic, neutral, shape, own)
-    return _polish(fit, clip, exact, smoothness, adjusted.focal_spread)
+    found = find_camera(clip, face, focal, smooth)
+    exact = clip.observations(np.maximum(rigidity(face), 0.3), OWN_ERROR * found.width)
+    shape = fit_shape(generic, found.neutral)
+    fit = _learn(clip, exact, found.camera, generic, found.neutral, shape, own)
+    return dataclasses.replace(_polish(fit, clip, exact), focal_spread=found.focal_spread)
 
 
 def _start(clip: Clip, face: CanonicalFace, trust: np.ndarray, focal: float | None) -> tuple[Poses, Lens]:
     """Poses of the canonical face, and the prior's focal length unless one is given."""
     observed = clip.observations(trust, 1.0)
-    lens = Lens(focal or 2.0 * max(clip.size), (clip.size[0] / 2, clip.size[1] / 2))
+    lens = Lens(focal or 2.0 * max(clip.size), clip.center or (clip.size[0] / 2, clip.size[1] / 2))
     poses = initial_poses(observed, face.vertices, lens)
     if focal is None:
         lens = dataclasses.replace(lens, focal=prior_focal(poses, lens))
@@ -196,7 +221,7 @@ def _neutral(
     scores = (clip.blendshapes - resting_scores(clip.blendshapes, clip.seen))[:, 1:]
     neutral = shape
     for _ in range(2):
-        used = _strided(clip)
+        used = strided(clip)
         missed = displacements(observed[used], Camera(camera.lens, camera.poses[used]), neutral)
         slopes, intercept = regress(missed, scores[used], RIDGE)
         neutral = neutral + intercept
@@ -207,7 +232,7 @@ def _neutral(
     return camera, neutral
 
 
-def _strided(clip: Clip) -> np.ndarray:
+def strided(clip: Clip) -> np.ndarray:
     """At most `LEARNING_FRAMES` frames with a face, evenly spread."""
     seen = np.flatnonzero(clip.seen)
     return seen[:: int(np.ceil(len(seen) / LEARNING_FRAMES))]
@@ -238,7 +263,7 @@ def _learn(
     lids = lid_axes(neutral, shape)
     share = generic.landmarks @ generic.weights[:, jaw]
     simple = FaceModel(neutral, np.concatenate((given, lids), axis=2), share, shape.joints[jaw])
-    used = _strided(clip)
+    used = strided(clip)
     local, seen = Camera(camera.lens, camera.poses[used]), observed[used]
     expected = _expectation(clip, 0)
     chosen = Expectation(expected.coefficients[used], expected.spreads, expected.jaw[used])
@@ -258,16 +283,15 @@ def _learn(
     return ClipFit(camera, model, motion, shape, 0.0, (energy, energy + (1 - energy) * kept))
 
 
-def _polish(fit: ClipFit, clip: Clip, observed: Observations, smoothness: float, focal_spread: float) -> ClipFit:
-    """Poses, axes and coefficients once more, each given the others."""
-    camera, model, motion = fit.camera, fit.model, fit.motion
-    own = model.axes.shape[2] - len(AXES) - 2
+def _polish(fit: ClipFit, clip: Clip, observed: Observations) -> ClipFit:
+    """Axes and coefficients once more, each given the other."""
+    own = fit.model.axes.shape[2] - len(AXES) - 2
     learned = np.concatenate((np.ones(len(AXES) + own), np.zeros(2)))
-    used = _strided(clip)
-    part = FaceMotion(motion.coefficients[used], motion.jaw[used])
-    model = refine_axes(observed[used], Camera(camera.lens, camera.poses[used]), model, part, learned)
-    motion = fit_motion(observed, camera, model, _expectation(clip, own))
-    return dataclasses.replace(fit, camera=camera, model=model, motion=motion, focal_spread=focal_spread)
+    used = strided(clip)
+    part = FaceMotion(fit.motion.coefficients[used], fit.motion.jaw[used])
+    model = refine_axes(observed[used], Camera(fit.camera.lens, fit.camera.poses[used]), fit.model, part, learned)
+    motion = fit_motion(observed, fit.camera, model, _expectation(clip, own))
+    return dataclasses.replace(fit, model=model, motion=motion)
 
 
 def reprojection(clip: Clip, camera: Camera, shapes: Float[np.ndarray, "T N 3"]) -> Float[np.ndarray, "T N"]:

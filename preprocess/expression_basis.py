@@ -30,13 +30,13 @@ class Camera:
 
 
 def displacements(
-    observed: Observations, camera: Camera, shapes: Float[np.ndarray, "#T N 3"]
+    observed: Observations, camera: Camera, shapes: Float[np.ndarray, "*#T N 3"]
 ) -> Float[np.ndarray, "T N 3"]:
     """How far landmarks are from where a shape puts them, across the line of sight, m in head space.
 
     Zero where nothing was seen.
     """
-    seen = camera.poses.to_camera(shapes)
+    seen = camera.poses.to_camera(shapes.reshape(-1, *shapes.shape[-2:]))
     across = (observed.points - project(seen, camera.lens)) * (seen[..., 2:] / camera.lens.focal)
     across = np.where(observed.weights[..., None] > 0, across, 0.0)
     return np.concatenate((across, np.zeros_like(across[..., :1])), axis=-1) @ camera.poses.rotations

@@ -43,15 +43,16 @@ def eye_turns(
 def centered_eyes(
     turns: Float[np.ndarray, "T 2 3"], poses: Poses, eyes: Float[np.ndarray, "2 3"], radius: float
 ) -> Float[np.ndarray, "2 3"]:
-    """Eye centres shifted so that, in the middle of the clip, the eyes are parallel and level with the camera, m.
+    """Eye centres shifted so that, in the middle of the clip, both eyes look at the camera's height and distance, m.
 
-    Lids say little about where an eyeball's centre is; but people look far compared with the distance of their eyes,
-    and mostly at the height of the lens.
+    Lids say little about where an eyeball's centre is; but people look about as far as the camera, and mostly at the
+    height of the lens. Where they look sideways is left as it is.
     """
     usual = np.median(turns, axis=0)
-    to_camera = -np.einsum("tba,tb->ta", poses.rotations, poses.translations)
-    camera_pitch = float(np.median(np.arctan2(-to_camera[:, 1], to_camera[:, 2])))
+    camera = np.median(-np.einsum("tba,tb->ta", poses.rotations, poses.translations), axis=0)
+    pitch = np.arctan2(-camera[1], camera[2])
+    vergence = -(eyes[0, 0] - eyes[1, 0]) / np.linalg.norm(camera)
     reach = IRIS_SHARE * radius
-    apart = (usual[0, 1] - usual[1, 1]) / 2
-    raised = (usual[:, 0].mean() - camera_pitch) * reach
+    apart = (usual[0, 1] - usual[1, 1] - vergence) / 2
+    raised = (usual[:, 0].mean() - pitch) * reach
     return eyes + np.array([[apart * reach, -raised, 0.0], [-apart * reach, -raised, 0.0]])

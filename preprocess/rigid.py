@@ -187,12 +187,12 @@ def _pose_information(
     observed: Observations, shape: np.ndarray, lens: Lens, poses: Poses
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information matrix and gradient of every frame's pose, a part of the clip at a time to bound memory."""
-    count = len(observed.points)
+    count, shapes = len(observed.points), shape.reshape(-1, *shape.shape[-2:])
     information, gradient = np.zeros((count, POSE, POSE)), np.zeros((count, POSE))
     for first in range(0, count, CHUNK):
         chosen = slice(first, first + CHUNK)
         here = poses[chosen]
-        seen = here.to_camera(shape[chosen] if shape.ndim == 3 and len(shape) > 1 else shape)
+        seen = here.to_camera(shapes[chosen] if len(shapes) > 1 else shapes)
         residuals = observed.points[chosen] - project(seen, lens)
         weights = robust_weights(residuals, observed.weights[chosen], 3.0)
         jacobian = pose_slopes(seen, here, projection_slopes(seen, lens.focal))

@@ -16,6 +16,7 @@ from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
 from preprocess.expression_axes import AXES
 from preprocess.face_bundle import CanonicalFace, canonical_face
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
+from preprocess.flame_tracking import track_flame
 from preprocess.gaze import centered_eyes, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.landmarks import LandmarkTracker
@@ -48,7 +49,11 @@ class Watched:
 
 
 def track(
-    images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, options: PrepOptions
+    images: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    fps: float,
+    options: PrepOptions,
+    center: tuple[float, float] | None = None,
 ) -> TrackedSequence:
     """Track a clip.
 
@@ -56,7 +61,9 @@ def track(
         images: 8-bit RGB frames of one size; each is asked for once, in order.
         masks: 8-bit foreground, 255 = person; each is asked for once, in order.
         fps: Frames a second.
-        options: Uses `models`, `offline` and `tracker`.
+        options: Uses `models`, `offline`, `tracker` and `head_model`: a FLAME file is fitted instead of a head of the
+            subject's own.
+        center: Principal point, px of the images; None is their centre. A crop's is the centre of the video it is from.
 
     Raises:
         InputError: A model file is missing, or hardly a frame shows a face.
@@ -64,6 +71,9 @@ def track(
     bundle = models.resolve("face_landmarker", options.models, offline=options.offline)
     face = canonical_face(bundle)
     watched = watch(images, masks, fps, LandmarkTracker(bundle))
+    watched = dataclasses.replace(watched, clip=dataclasses.replace(watched.clip, center=center))
+    if options.head_model is not None:
+        return track_flame(watched.clip, face, options.head_model, options.tracker)
     return track_landmarks(watched, face, options)
 
 

@@ -56,7 +56,10 @@ def _tracked(job: Job, numbers: list[int]) -> TrackedSequence:
 
     images = PicturesOnDisk(job, "images", numbers, read_rgb)
     masks = PicturesOnDisk(job, "masks", numbers, read_grey)
-    return track(images, masks, float(job.results["frames"]["fps"]), job.options)
+    source, crop = job.results["frames"], crop_from_json(dict(job.results["crop"]["crop"]))
+    middle = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
+    center = crop.intrinsics(middle)[:2, 2]
+    return track(images, masks, float(source["fps"]), job.options, (float(center[0]), float(center[1])))
 
 
 class PicturesOnDisk(Sequence[np.ndarray]):

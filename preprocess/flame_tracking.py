@@ -1,0 +1,76 @@
+"""Tracking with the user's FLAME file: the fit as a capture's arrays and head."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ggavatar.capture import Tracking
+from ggavatar.errors import InputError
+from ggavatar.head.flame import is_flame, load_flame
+from preprocess.clip_fit import Clip, find_camera
+from preprocess.face_bundle import CanonicalFace
+from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
+from preprocess.flame_fit import FlameFit, fit_flame, read_flame
+from preprocess.gaze import eye_turns
+from preprocess.options import TrackingOptions
+from preprocess.sequence import TrackedSequence
+from preprocess.smoothing import penalty, pose_jitter, smooth
+from preprocess.tracked_head import EYEBALL_RADIUS
+
+CUTOFF = 6.0
+"""Fastest motion of expression, jaw, gaze and lids that is kept, Hz."""
+
+
+def track_flame(clip: Clip, face: CanonicalFace, path: Path, settings: TrackingOptions) -> TrackedSequence:
+    """Fit a FLAME file to a clip.
+
+    Args:
+        clip: Landmarks.
+        face: Canonical face.
+        path: `generic_model.pkl`, `flame2023.pkl` or an npz with the same keys.
+        settings: Focal length, number of expressions, smoothing.
+
+    Raises:
+        InputError: Not a FLAME file.
+    """
+    if not path.is_file() or not is_flame(path):
+        raise InputError(
+            f"{path}: expected a FLAME model (generic_model.pkl, flame2023.pkl or npz) for the built-in tracker to "
+            "fit; leave out --head-model to get a head of the subject's own, or give --tracking"
+        )
+    found = find_camera(clip, face, settings.focal, settings.smooth)
+    fit = fit_flame(clip, read_flame(path, face, settings.expressions), face, found)
+    head = load_flame(path, fit.identity, expressions=settings.expressions)
+    joints = (head.joint_regressor @ head.template).numpy().astype(np.float64)
+    report = {
+        "tracker": "built-in, FLAME",
+        "focal_px": round(fit.camera.lens.focal, 1),
+        "reprojection_px": {"median": round(fit.residual, 3)},
+        "jitter": {name: round(value, 4) for name, value in pose_jitter(fit.camera.poses).items()},
+        "warnings": ["FLAME has no torso of its own: shoulders follow the head"],
+    }
+    return TrackedSequence(_tracking(clip, fit, joints[3:5], settings.smooth), head, report)
+
+
+def _tracking(clip: Clip, fit: FlameFit, eyes: np.ndarray, smoothed: bool) -> Tracking:
+    """Parameters of all frames as arrays of the capture, in FLAME's joint order."""
+    count, weights = len(clip.points), clip.seen.astype(float)
+    strength = penalty(CUTOFF, clip.fps) if smoothed else 0.0
+    irises = clip.points[:, [LEFT_IRIS[0], RIGHT_IRIS[0]]]
+    turns = eye_turns(irises, fit.camera.lens, fit.camera.poses, eyes, EYEBALL_RADIUS)
+    joints = np.zeros((count, 5, 3))
+    joints[:, 2, :2] = smooth(fit.motion.jaw, weights, strength)
+    joints[:, 3:] = smooth(turns.reshape(count, 6), weights, strength).reshape(count, 2, 3)
+    coefficients = smooth(fit.motion.coefficients, weights, strength)
+    return Tracking(
+        intrinsics=np.tile(fit.camera.lens.matrix(), (count, 1, 1)),
+        world_to_camera=fit.camera.poses.matrices(),
+        expression=coefficients[:, :-2],
+        joint_rotations=joints,
+        eyelids=np.clip(coefficients[:, -2:], 0.0, 1.0),
+        translation=np.zeros((count, 3)),
+        shape=fit.identity,
+        landmarks=np.where(clip.seen[:, None, None], clip.points, np.nan),
+    )

@@ -1,0 +1,104 @@
+"""Regression and principal axes against numpy's; coefficients and axes against those that made the landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ggavatar.head.procedural import procedural_names
+from preprocess.blendshapes import NAMES
+from preprocess.expression_axes import AXES, axis_scores, generic_mixture
+from preprocess.expression_basis import (
+    Camera,
+    Expectation,
+    displacements,
+    fit_motion,
+    principal_axes,
+    refine_axes,
+    regress,
+)
+from preprocess.face_model import FaceModel, FaceMotion
+from preprocess.rigid import Lens, Observations, Poses, project
+
+FRAMES, POINTS, COUNT = 90, 40, 3
+
+
+def made_up() -> tuple[FaceModel, FaceMotion, Camera, Observations]:
+    """A small face that moves and turns, and its landmarks."""
+    generator = np.random.default_rng(5)
+    neutral = generator.uniform([-0.07, -0.09, 0.0], [0.07, 0.09, 0.07], (POINTS, 3))
+    share = np.where(neutral[:, 1] < -0.02, 1.0, 0.0)
+    model = FaceModel(neutral, generator.normal(0, 0.004, (POINTS, 3, COUNT)), share, np.array([0.0, -0.02, -0.01]))
+    motion = FaceMotion(
+        generator.normal(0, 0.5, (FRAMES, COUNT)),
+        np.stack((generator.uniform(0, 0.2, FRAMES), generator.normal(0, 0.02, FRAMES)), axis=1),
+    )
+    angles = generator.uniform(-1, 1, (FRAMES, 3)) * [10, 25, 5]
+    turns = Rotation.from_euler("x", 180, degrees=True) * Rotation.from_euler("xyz", angles, degrees=True)
+    camera = Camera(Lens(1000.0, (256.0, 256.0)), Poses(turns.as_matrix(), np.tile([0.0, 0.0, 0.9], (FRAMES, 1))))
+    points = project(camera.poses.to_camera(model.shapes(motion.coefficients, motion.jaw)), camera.lens)
+    return model, motion, camera, Observations(points, np.full((FRAMES, POINTS), 1.0))
+
+
+def test_regression_without_ridge_is_least_squares() -> None:
+    generator = np.random.default_rng(0)
+    scores, targets = generator.random((50, 4)), generator.normal(size=(50, 7, 3))
+    slopes, intercept = regress(targets, scores, 0.0)
+    expected = np.linalg.lstsq(np.column_stack((scores, np.ones(50))), targets.reshape(50, -1), rcond=None)[0]
+    np.testing.assert_allclose(np.moveaxis(slopes, -1, 0).reshape(4, -1), expected[:4], atol=1e-6)
+    np.testing.assert_allclose(intercept.ravel(), expected[4], atol=1e-6)
+
+
+def test_principal_axes_are_the_singular_vectors() -> None:
+    residuals = np.random.default_rng(1).normal(size=(60, 5, 3)) * np.linspace(3, 0.1, 5)[:, None]
+    axes, share = principal_axes(residuals, 4)
+    _, values, vectors = np.linalg.svd(residuals.reshape(60, -1), full_matrices=False)
+    for column in range(4):
+        cosine = axes[..., column].ravel() @ vectors[column] / np.linalg.norm(axes[..., column])
+        assert abs(cosine) > 1 - 1e-9
+    np.testing.assert_allclose(share, (values[:4] ** 2).sum() / (values**2).sum(), rtol=1e-9)
+
+
+def test_displacements_across_the_view_are_recovered() -> None:
+    model, _, camera, _ = made_up()
+    still = model.shapes(np.zeros((FRAMES, COUNT)), np.zeros((FRAMES, 2)))
+    across = np.array([0.001, -0.002, 0.0]) @ camera.poses.rotations
+    points = project(camera.poses.to_camera(still + across[:, None]), camera.lens)
+    found = displacements(Observations(points, np.ones((FRAMES, POINTS))), camera, still)
+    np.testing.assert_allclose(found, np.broadcast_to(across[:, None], found.shape), atol=1e-8)
+
+
+def test_coefficients_and_jaw_are_read_back() -> None:
+    model, motion, camera, observed = made_up()
+    blind = Expectation(np.zeros((FRAMES, COUNT)), np.full(COUNT, 3.0), np.zeros((FRAMES, 2)))
+    found = fit_motion(observed, camera, model, blind, iterations=6)
+    np.testing.assert_allclose(found.coefficients, motion.coefficients, atol=0.02)
+    np.testing.assert_allclose(found.jaw, motion.jaw, atol=0.01)
+
+
+def test_axes_are_mended_and_given_ones_kept() -> None:
+    model, motion, camera, observed = made_up()
+    spoiled = np.random.default_rng(2).normal(0, 0.001, model.axes.shape)
+    spoiled[..., 2] = 0
+    start = FaceModel(model.neutral, model.axes + spoiled, model.jaw_share, model.jaw_pivot)
+    found = refine_axes(observed, camera, start, motion, np.array([1.0, 1.0, 0.0]))
+    missed = (
+        project(camera.poses.to_camera(found.shapes(motion.coefficients, motion.jaw)), camera.lens) - observed.points
+    )
+    before = (
+        project(camera.poses.to_camera(start.shapes(motion.coefficients, motion.jaw)), camera.lens) - observed.points
+    )
+    assert np.abs(missed).mean() < 0.1 * np.abs(before).mean()
+    np.testing.assert_array_equal(found.axes[..., 2], start.axes[..., 2])
+
+
+def test_named_axes_know_their_generic_expressions() -> None:
+    names, _ = procedural_names()
+    mixture = generic_mixture()
+    assert mixture.shape == (len(names), len(AXES)) and len(AXES) == 37
+    smile = mixture[:, AXES.index("mouthSmileLeft")]
+    assert names[int(np.argmax(smile))] == "smile_left" and np.count_nonzero(smile) == 1
+    assert mixture[names.index("mouth_shift_right"), AXES.index("mouthRight")] == 1
+    assert not mixture[:, AXES.index("mouthClose")].any()
+    scores = np.arange(52.0)[None]
+    assert axis_scores(scores)[0, AXES.index("noseSneerRight")] == NAMES.index("noseSneerRight")

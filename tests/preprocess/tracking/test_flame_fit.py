@@ -1,0 +1,90 @@
+"""A head of FLAME's layout whose parameters are known is recovered from its own projected landmarks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ggavatar.errors import InputError
+from ggavatar.head.flame import load_flame
+from ggavatar.head.procedural import procedural_head, procedural_identity_basis
+from preprocess.clip_fit import Clip, FoundCamera
+from preprocess.expression_basis import Camera
+from preprocess.face_model import FaceModel
+from preprocess.flame_fit import fit_flame, flame_landmarks, read_embedding
+from preprocess.options import TrackingOptions
+from preprocess.rigid import Lens, Poses, project
+
+EXPRESSIONS = 44
+FRAMES = 24
+
+
+@pytest.fixture(scope="module")
+def flame_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The procedural head as a file of FLAME's layout: identity first, then expression."""
+    head = procedural_head()
+    path = tmp_path_factory.mktemp("flame") / "generic_model.npz"
+    shapes = procedural_identity_basis().numpy()
+    np.savez(
+        path,
+        v_template=head.template.numpy(),
+        f=head.faces.numpy().astype(np.uint32),
+        weights=head.skinning_weights.numpy(),
+        posedirs=np.zeros((len(shapes), 3, 36)),
+        shapedirs=np.concatenate((shapes, head.expression_basis.numpy()), axis=2),
+        J_regressor=head.joint_regressor.numpy(),
+        kintree_table=np.array([[2**32 - 1, 0, 1, 1, 1], [0, 1, 2, 3, 4]], dtype=np.uint32),
+    )
+    return path
+
+
+def test_recovers_identity_pose_and_jaw(flame_file: Path, stand_in) -> None:
+    face, embedding = stand_in
+    generator = np.random.default_rng(3)
+    flame = flame_landmarks(load_flame(flame_file, expressions=10_000), embedding, EXPRESSIONS)
+    identity = np.zeros(flame.shapes.shape[2])
+    identity[:8] = generator.normal(0, 1.2, 8)
+    truth: FaceModel = flame.model(identity)
+    coefficients = np.zeros((FRAMES, EXPRESSIONS + 2))
+    coefficients[:, :6] = generator.normal(0, 0.3, (FRAMES, 6))
+    jaw = np.stack((generator.uniform(0, 0.2, FRAMES), np.zeros(FRAMES)), axis=1)
+    angles = generator.normal(0, [12, 18, 6], (FRAMES, 3))
+    facing = Rotation.from_euler("x", 180, degrees=True)
+    rotations = (facing * Rotation.from_euler("xyz", angles, degrees=True)).as_matrix()
+    translations = np.column_stack((generator.normal(0, 0.03, (FRAMES, 2)), generator.uniform(0.7, 0.9, FRAMES)))
+    lens, poses = Lens(900.0, (256.0, 256.0)), Poses(rotations, translations)
+    points = np.zeros((FRAMES, 478, 2))
+    points[:, :468] = project(poses.to_camera(truth.shapes(coefficients, jaw)), lens)
+    points[:, :468] += generator.normal(0, 0.2, (FRAMES, 468, 2))
+    clip = Clip(points, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (512, 512), 25.0)
+    found = FoundCamera(Camera(lens, poses), truth.neutral, 0.0, 170.0, 0.0)
+
+    fit = fit_flame(clip, flame, face, found)
+
+    turned = Rotation.from_matrix(fit.camera.poses.rotations.transpose(0, 2, 1) @ rotations)
+    assert np.degrees(turned.magnitude()).max() < 1.5
+    assert fit.residual < 0.5
+    neutral = flame.model(fit.identity).neutral
+    assert (
+        np.linalg.norm(neutral - truth.neutral, axis=1).mean()
+        < 0.4 * np.linalg.norm(flame.template - truth.neutral, axis=1).mean()
+    )
+    assert np.corrcoef(fit.motion.jaw[:, 0], jaw[:, 0])[0, 1] > 0.95
+
+
+def test_embedding_of_another_topology_is_refused(flame_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mediapipe_landmark_embedding.npz"
+    np.savez(path, lmk_face_idx=np.array([10**6]), lmk_b_coords=np.ones((1, 3)) / 3, landmark_indices=np.array([4]))
+    with pytest.raises(InputError, match=r"mediapipe_landmark_embedding\.npz"):
+        read_embedding(path, load_flame(flame_file))
+
+
+def test_a_head_that_is_not_flame_is_refused(tmp_path: Path, stand_in) -> None:
+    from preprocess.flame_tracking import track_flame
+
+    clip = Clip(np.zeros((9, 478, 2)), np.zeros((9, 52)), np.ones(9, bool), (64, 64), 25.0)
+    with pytest.raises(InputError, match="expected a FLAME model"):
+        track_flame(clip, stand_in[0], tmp_path / "nothing.npz", TrackingOptions())

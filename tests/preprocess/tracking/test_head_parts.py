@@ -1,0 +1,151 @@
+"""Smooth extension, gaze, torso and outline against constructions with a known answer."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
+
+from preprocess.face_embedding import boundary_loops, closest_points
+from preprocess.gaze import IRIS_SHARE, centered_eyes, eye_turns
+from preprocess.rigid import Lens, Poses
+from preprocess.surface_extension import SurfaceExtension
+from preprocess.torso import TorsoPivots, TorsoTracker, neck_turns, torso_poses
+from preprocess.tracked_head import similarity
+
+LENS = Lens(1000.0, (256.0, 256.0))
+FACING = Rotation.from_euler("x", 180, degrees=True)
+
+
+def sheet(side: int, shift: int = 0) -> np.ndarray:
+    """Triangles of a square grid of vertices."""
+    numbers = np.arange(side * side).reshape(side, side) + shift
+    a, b, c, d = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
+    return np.concatenate((np.stack((a, b, c), -1).reshape(-1, 3), np.stack((b, d, c), -1).reshape(-1, 3)))
+
+
+def test_extension_carries_shifts_but_not_across_a_gap() -> None:
+    faces = np.concatenate((sheet(6), sheet(6, 36)))
+    landmarks = csr_array((np.ones(4), ([0, 1, 2, 3], [7, 28, 43, 64])), shape=(4, 72))
+    moved = SurfaceExtension(faces, landmarks, np.zeros(72))(np.array([[1.0], [1.0], [-2.0], [-2.0]]))
+    np.testing.assert_allclose(moved[:36], 1.0, atol=1e-3)
+    np.testing.assert_allclose(moved[36:], -2.0, atol=1e-3)
+
+
+def test_extension_leaves_held_and_unused_vertices() -> None:
+    held = np.zeros(37)
+    held[30:36] = 1e4
+    landmarks = csr_array((np.ones(1), ([0], [2])), shape=(1, 37))
+    moved = SurfaceExtension(sheet(6), landmarks, held)(np.array([[1.0, 2.0]]))
+    assert np.abs(moved[30:]).max() < 1e-3
+    assert moved[2, 0] > 0.5
+    np.testing.assert_allclose(moved[:, 1], 2 * moved[:, 0], atol=1e-9)
+
+
+def test_closest_points_on_a_triangle() -> None:
+    vertices, faces = np.eye(3), np.array([[0, 1, 2]])
+    points = np.array([[1.0, 1.0, 1.0], [3.0, 0.0, 0.0], [0.9, 0.9, -2.0]])
+    found, corners, weights = closest_points(points, vertices, faces)
+    np.testing.assert_allclose(found, [[1 / 3] * 3, [1, 0, 0], [0.5, 0.5, 0]], atol=1e-9)
+    np.testing.assert_allclose(np.einsum("nc,ncx->nx", weights, vertices[corners]), found, atol=1e-12)
+
+
+def test_a_sheet_has_one_border() -> None:
+    (loop,) = boundary_loops(sheet(5))
+    assert len(loop) == 16 and len(set(loop.tolist())) == 16
+
+
+def test_similarity_is_recovered() -> None:
+    generator = np.random.default_rng(0)
+    source = generator.normal(size=(20, 3))
+    turn = Rotation.random(random_state=1).as_matrix()
+    scale, rotation, shift = similarity(source, 1.7 * source @ turn.T + [1, 2, 3])
+    assert scale == pytest.approx(1.7)
+    np.testing.assert_allclose(rotation, turn, atol=1e-9)
+    np.testing.assert_allclose(shift, [1, 2, 3], atol=1e-9)
+
+
+def test_gaze_is_read_from_the_irises() -> None:
+    eyes, radius = np.array([[0.031, 0.025, 0.028], [-0.031, 0.025, 0.028]]), 0.012
+    poses = Poses(
+        (FACING * Rotation.from_euler("y", [[0], [15]], degrees=True)).as_matrix(), np.array([[0.0, 0, 0.8]] * 2)
+    )
+    true = np.array([[[0.1, 0.2, 0], [0.1, 0.15, 0]], [[-0.2, 0.3, 0], [-0.2, 0.25, 0]]])
+    irises = np.zeros((2, 2, 2))
+    for frame in range(2):
+        looks = Rotation.from_rotvec(true[frame]).apply([0.0, 0.0, 1.0])
+        seen = poses.to_camera((eyes + IRIS_SHARE * radius * looks)[None])[frame]
+        irises[frame] = LENS.focal * seen[:, :2] / seen[:, 2:] + 256
+    found = eye_turns(irises, LENS, poses, eyes, radius)
+    np.testing.assert_allclose(found, true, atol=0.01)
+
+
+def test_eyes_are_moved_until_they_look_at_the_camera() -> None:
+    eyes, radius = np.array([[0.031, 0.0, 0.0], [-0.031, 0.0, 0.0]]), 0.012
+    poses = Poses(np.tile(FACING.as_matrix(), (5, 1, 1)), np.tile([0.0, 0.0, 0.8], (5, 1)))
+    true = eyes + np.array([[0.002, 0.001, 0.0], [-0.002, 0.001, 0.0]])
+    looks = np.array([0, 0, 0.8]) - true
+    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
+    seen = poses.to_camera((true + IRIS_SHARE * radius * looks)[None])
+    irises = LENS.focal * seen[..., :2] / seen[..., 2:] + 256
+    moved = centered_eyes(eye_turns(irises, LENS, poses, eyes, radius), poses, eyes, radius)
+    np.testing.assert_allclose(moved, true, atol=2e-4)
+    turns = eye_turns(irises, LENS, poses, moved, radius)
+    np.testing.assert_allclose(turns[:, 0, 1] - turns[:, 1, 1], -0.066 / 0.8, atol=np.radians(0.5))
+
+
+def cloth(shift: tuple[float, float]) -> np.ndarray:
+    """A frame whose lower half is textured and moved by `shift` px."""
+    texture = np.random.default_rng(0).integers(0, 255, (40, 40), dtype=np.uint8)
+    big = cv2.resize(texture, (512, 512), interpolation=cv2.INTER_CUBIC)
+    moved = cv2.warpAffine(
+        big, np.array([[1.0, 0, shift[0]], [0, 1.0, shift[1]]]), (512, 512), borderMode=cv2.BORDER_REFLECT
+    )
+    return np.repeat(moved[..., None], 3, axis=2)
+
+
+def test_torso_is_followed_without_drift() -> None:
+    tracker, mask = TorsoTracker(), np.full((512, 512), 255, np.uint8)
+    chin = np.array([[200.0, 100.0], [300.0, 220.0]])
+    shifts = [(0.0, 0.0), (3.0, 1.0), (7.5, -2.0), (12.0, -4.0), (0.0, 0.0)]
+    assert tracker.motion(cloth(shifts[0]), mask, chin) is not None
+    for shift in shifts[1:]:
+        found = tracker.motion(cloth(shift), mask, chin)
+        assert found is not None
+        np.testing.assert_allclose(found[:2, 2] + (found[:2, :2] - np.eye(2)) @ [256, 380], shift, atol=0.6)
+
+
+def test_a_plain_torso_is_not_followed() -> None:
+    grey, mask = np.full((256, 256, 3), 90, np.uint8), np.full((256, 256), 255, np.uint8)
+    assert TorsoTracker().motion(grey, mask, np.array([[100.0, 50.0], [150.0, 110.0]])) is None
+
+
+def test_neck_turns_put_a_resting_torso_back_in_the_room() -> None:
+    """The head nods about the lower joint's neighbourhood; skinned by the two joints, the torso stays where it was."""
+    pivots = TorsoPivots(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
+    rest = Poses(np.tile(FACING.as_matrix(), (6, 1, 1)), np.tile([0.0, 0.0, 1.0], (6, 1)))
+    nod = Rotation.from_euler("x", np.linspace(-20, 20, 6)[:, None], degrees=True)
+    turned = (FACING * nod).as_matrix()
+    shift = rest.translations + np.einsum("ij,nj->ni", FACING.as_matrix(), pivots.lower - nod.apply(pivots.lower))
+    head = Poses(turned, shift)
+    upper, lower = neck_turns(rest, head, pivots)
+    point = np.array([0.1, -0.3, -0.02])
+    first = Rotation.from_rotvec(upper)
+    joint = pivots.upper + first.apply(pivots.lower - pivots.upper)
+    posed = joint + (first * Rotation.from_rotvec(lower)).apply(point - pivots.lower)
+    seen = np.einsum("tab,tb->ta", head.rotations, posed) + head.translations
+    np.testing.assert_allclose(seen, np.tile(FACING.apply(point) + np.array([0, 0, 1]), (6, 1)), atol=1e-6)
+
+
+def test_a_torso_never_seen_rests_in_the_room() -> None:
+    _, head = (
+        np.zeros(1),
+        Poses(
+            (FACING * Rotation.from_euler("y", np.linspace(-20, 20, 9)[:, None], degrees=True)).as_matrix(),
+            np.tile([0.0, 0, 1], (9, 1)),
+        ),
+    )
+    torso = torso_poses([None] * 9, head, LENS, 25.0)
+    np.testing.assert_allclose(torso.rotations, np.tile(FACING.as_matrix(), (9, 1, 1)), atol=1e-6)
