@@ -113,6 +113,8 @@ class DensityControl:
         prune_scale: Rows above this share are removed once `reset_interval` steps have passed.
         prune_opacity: Rows below this opacity are removed.
         budget: Largest number of rows; those with the largest gradients grow first.
+        ramp: Whether the budget opens evenly from the first round to the last, so that coarse images are not drawn with
+            rows only fine ones need (as DashGaussian couples the two); otherwise all of it is there from the start.
     """
 
     start: int
@@ -127,6 +129,7 @@ class DensityControl:
     prune_scale: float = 0.1
     prune_opacity: float = 0.005
     budget: int = 1_000_000
+    ramp: bool = False
 
     def is_active(self, step: int) -> bool:
         """Whether statistics are kept at this step."""
@@ -155,7 +158,7 @@ class DensityControl:
         return changed
 
     def _round(self, rows: Rows, step: int, face_scales: Tensor, generator: torch.Generator) -> None:
-        growing = self._within_budget(mean_gradients(rows))
+        growing = self._within_budget(mean_gradients(rows), step)
         small = _world_sizes(rows, face_scales) <= self.grow_scale * self.extent
         copies = int((growing & small).sum())
         grow(rows, growing & small)
@@ -167,10 +170,13 @@ class DensityControl:
         rows["gradient"].zero_()
         rows["seen"].zero_()
 
-    def _within_budget(self, gradients: Tensor) -> Tensor:
+    def _within_budget(self, gradients: Tensor, step: int) -> Tensor:
         """Rows that shall grow: above the threshold, and at most as many as the budget has room for."""
         growing = gradients >= self.gradient
         room = max(self.budget - len(gradients), 0)
+        if self.ramp:
+            rounds_left = (self.stop - step) // self.interval + 1
+            room //= max(rounds_left, 1)
         if int(growing.sum()) > room:
             ranked = torch.where(growing, gradients, -torch.ones_like(gradients)).argsort(descending=True, stable=True)
             growing = torch.zeros_like(growing)

@@ -29,6 +29,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
 from ggavatar.offsets import Offsets, refine
 from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
+from ggavatar.pose import POSE_FEATURES, HeadPoses
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
 from ggavatar.schedule import PAPER_STEPS, log_linear, scaled, seeded
@@ -49,6 +50,10 @@ class Config:
     """Whether the mesh follows the expression (Table 2, w/o LBS)."""
     adjuster: bool = True
     """Whether there is a Geometry Morph Adjuster (Table 2, w/o Geometry Morph Adjuster)."""
+    pose_on: Literal["camera", "neck"] = "camera"
+    """Where the head pose acts: on the camera alone (the paper), or also on the neck, so that the torso is still (A12)."""
+    condition: Literal["face", "face_and_pose"] = "face"
+    """What F_ψθ sees: facial parameters (the paper), or the head pose within its training range too (A12)."""
     field: Literal["triplane", "fourier"] = "triplane"
     """Features of neutral positions; `fourier` is Table 2, w/o tri-plane."""
 
@@ -84,6 +89,8 @@ class Config:
     """
     density_gradient: float = 2e-4
     """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (3DGS)."""
+    density_ramp: bool = False
+    """Whether room for new Gaussians opens evenly over the rounds (ours, for short trainings) or at once (3DGS)."""
     reset_iterations: int = 3_000
     """Iterations between two opacity resets (Sec. 3.5); none in trainings shorter than a tenth of the paper's."""
     extent: float = 1.0
@@ -141,9 +148,12 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 SHORT: dict[str, Any] = {
+    "pose_on": "neck",
+    "condition": "face_and_pose",
     "first_colors": "frames",
     "perceptual_mode": "crops",
     "density_start": 5_000,
+    "density_ramp": True,
     "network_rate": 1e-3,
     "sh_degree": 1,
     "sh_iterations": 20_000,
@@ -171,6 +181,7 @@ class GGAvatar(nn.Module):
         super().__init__()
         self.config, self.scene = config, scene
         self.head: HeadModel = scene.head
+        self.poses = HeadPoses.of(self.head, scene.drives)
         self.neutral_frames = triangle_frames(self.head.neutral(), self.head.faces)
         self.rows = first_rows(config, self.head, seeded(scene.seed, 4))
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
@@ -193,7 +204,7 @@ class GGAvatar(nn.Module):
         rows = self.rows
         means, quats, scales = self._placed(self._face_frames(drive))
         if self.adjuster is not None and not self.is_neutral:
-            offsets = self._offsets(self.head.condition(drive))  # Eq. 9–11, W never built
+            offsets = self._offsets(self._condition(drive))  # Eq. 9–11, W never built
             means, quats, scales = refine(means, quats, scales, offsets, self.config.offset_unit)  # Eq. 12
         colors = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
         return Gaussians(means, quats, scales, rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
@@ -239,9 +250,18 @@ class GGAvatar(nn.Module):
     @torch.no_grad()
     def _face_frames(self, drive: Drive) -> TriangleFrames:
         """Frames of the triangles (Eq. 4–5): of the neutral head, or of the head as it is tracked."""
-        if self.is_neutral or not self.config.skinning:
+        still = self.is_neutral or not self.config.skinning
+        if still and self.config.pose_on == "camera":
             return self.neutral_frames
-        return triangle_frames(self.head.vertices(drive), self.head.faces)
+        vertices = self.head.neutral() if still else self.head.vertices(drive)
+        if self.config.pose_on == "neck":
+            vertices = self.poses.hold_torso(vertices, drive, self.head)
+        return triangle_frames(vertices, self.head.faces)
+
+    def _condition(self, drive: Drive) -> Float[Tensor, " C"]:
+        """ψ and θ of Eq. 10."""
+        face = self.head.condition(drive)
+        return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
 
     def _placed(self, frames: TriangleFrames) -> Placed:
         """The Gaussians on these triangles (Eq. 6–8)."""
@@ -312,6 +332,7 @@ def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
         HashTriplane(sizes, box, generator) if config.field == "triplane" else FourierFeatures(box, config.octaves)
     )
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
+    conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
     return BasisAdjuster(
         field, conditions, AdjusterConfig(config.latent, config.hidden, config.latent_hidden), generator
     ).to(scene.background.device)
@@ -341,6 +362,7 @@ def density_control(config: Config, scene: Scene) -> DensityControl:
         gradient=config.density_gradient,
         extent=config.extent,
         budget=scene.max_gaussians,
+        ramp=config.density_ramp,
     )
 
 

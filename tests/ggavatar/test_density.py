@@ -167,3 +167,15 @@ def test_faint_rows_go_and_large_ones_only_after_the_first_reset_interval() -> N
         rows["opacity_logits"].data.copy_(torch.tensor([2.0, 2.0, -9.0]))
         control(resetting=False).apply(rows, step, torch.ones(1), torch.Generator().manual_seed(0))
         assert rows["face"].tolist() == kept
+
+
+def test_ramp_spreads_the_budget_over_the_rounds() -> None:
+    """Each round may use the room that is left divided by the rounds that are left."""
+    plan, rows, counts = control(budget=40, ramp=True), make_rows(list(range(10))), []
+    rows["log_scales"].data.fill_(-9.0)
+    rows["opacity_logits"].data.fill_(2.0)
+    for step in range(10, 110, 10):
+        seen(rows, [5.0] * len(rows))
+        plan.apply(rows, step, torch.ones(10), torch.Generator().manual_seed(0))
+        counts.append(len(rows))
+    assert counts == [13, 16, 19, 22, 25, 28, 31, 34, 37, 40]
