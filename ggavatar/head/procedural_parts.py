@@ -105,7 +105,7 @@ def teeth(*, upper: bool) -> Part:
     """A dental arch of fourteen teeth as one closed band: gum, front, biting edge, back."""
     widths = np.asarray(_TOOTH_WIDTHS if upper else _LOWER_TOOTH_WIDTHS)
     samples, tooth, inside = _arch_samples(widths)
-    front_z, half = (0.0440, 0.0262) if upper else (0.0418, 0.0242)
+    front_z, half = (0.0426, 0.0256) if upper else (0.0404, 0.0236)
     x, z, normal = _arch(samples, front_z, half)
     bulge = np.sqrt(np.clip(1 - inside**2, 0, 1))
     height = np.interp(np.abs(tooth), [0, 1, 2, 3, 6], [0.0102, 0.0092, 0.0098, 0.0085, 0.0068]) * (0.93 + 0.07 * bulge)

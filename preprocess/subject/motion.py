@@ -118,7 +118,7 @@ def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
     expression = np.clip(gestures + speech * voice[:, None], -0.2, 1.25)
     jaw = np.zeros((frames, 3))
     jaw[:, 0] = jaw_angle * voice + 0.16 * _laugh(gestures, index) + 0.004
-    jaw[:, 1] = 0.02 * _drift(frames, 10, generator) * jaw_angle / 0.2
+    jaw[:, 1] = 0.007 * _drift(frames, 10, generator) * jaw_angle / 0.2
     yaw, pitch, roll, shift = _head(frames, generator)
     eyes = _gaze(frames, yaw, pitch, generator)
     eyelids = _eyelids(frames, eyes, yaw, generator)

@@ -18,6 +18,8 @@ from preprocess.subject.person import Person
 from preprocess.subject.texture_space import Texels, bump, noise, step
 
 _IRIS_ANGLE, _PUPIL_ANGLE = 0.475, 0.175
+# x at which the front teeth meet, m; the arch is almost flat there.
+_UPPER_GAPS, _LOWER_GAPS = (0.0, 0.0084, 0.0145, 0.0202), (0.0, 0.0053, 0.0109, 0.0164)
 
 
 def blend(
@@ -193,6 +195,9 @@ def tooth_color(points: Float[ndarray, "N 3"], *, upper: bool) -> Float[ndarray,
     rise = (points[:, 1] + 0.0475) if upper else (-0.0480 - points[:, 1])
     color = np.tile((0.90, 0.87, 0.80), (len(points), 1))
     color *= (1 - 0.25 * step(0.030, 0.010, points[:, 2]))[:, None]
+    gaps = _UPPER_GAPS if upper else _LOWER_GAPS
+    apart = np.abs(np.abs(points[:, :1]) - np.asarray(gaps)).min(axis=1)
+    color = blend(color, (0.45, 0.32, 0.26), 0.75 * np.exp(-((apart / 0.00045) ** 2)))
     color = blend(color, (0.82, 0.74, 0.60), 0.5 * step(0.004, 0.010, rise))
     return blend(color, (0.72, 0.38, 0.38), step(0.0088, 0.0098, rise))
 
