@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 
 from ggavatar.errors import GateError, run_command
 from preprocess.options import PrepOptions
@@ -17,12 +18,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     import tyro
 
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = _dashed_paths(sys.argv[1:] if arguments is None else arguments)
     if "--version" in given:
         sys.stdout.write(f"ggavatar-prep {version('ggavatar')}\n")
         return 0
     options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
     return run_command(lambda: _prepare(options))
+
+
+def _dashed_paths(arguments: Sequence[str]) -> list[str]:
+    """Files that exist under a name with a leading dash, and an output folder with one, are made to look like paths."""
+    result: list[str] = []
+    for argument in arguments:
+        after_output = bool(result) and result[-1] in ("-o", "--output-dir")
+        dashed = argument.startswith("-") and (
+            Path(argument).exists() or (after_output and not argument.startswith("--"))
+        )
+        result.append(f"./{argument}" if dashed else argument)
+    return result
 
 
 def _description() -> str:

@@ -100,7 +100,11 @@ def draw(head: HeadModel, record: ForeignTracking, row: int) -> tuple[np.ndarray
     mask = silhouette(pixels, depth, head.faces.numpy(), (record.width, record.height))
     image = np.zeros((record.height, record.width, 3), np.uint8)
     image[:, :, 1] = (np.arange(record.width) // 8 % 2 * 60 + 60)[None]
-    image[mask] = [200, 120 + row, 90]
+    image[mask] = [200, 120, 90]
+    for vertex in np.flatnonzero((head.template[:, 2] > 0.02).numpy()):
+        x, y = (round(float(place)) for place in pixels[vertex])
+        image[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2] = [40 + 50 * (vertex % 4), 30, 200 - 40 * (vertex % 5)]
+    image[~mask, 0] = 0
     return image, mask.astype(np.uint8) * 255
 
 
@@ -133,9 +137,9 @@ class Clip:
         return [video, "--tracking", tracking, "--masks", masks, "--head-model", head, "--size", "96", "--log", "quiet"]
 
 
-def make_clip(folder: Path, count: int = 24) -> Clip:
+def make_clip(folder: Path, count: int = 24, size: tuple[int, int] = (96, 96)) -> Clip:
     """Write video.mp4, masks, tracking and head.npz."""
-    head, record = ball_head(), moving_record(count)
+    head, record = ball_head(), moving_record(count, size)
     folder.mkdir(parents=True, exist_ok=True)
     drawn = [draw(head, record, row) for row in range(count)]
     write_video(folder / "video.mp4", [image for image, _ in drawn])
