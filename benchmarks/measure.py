@@ -71,7 +71,7 @@ def cores() -> int:
 
 
 def peak_extra_megabytes(call: Callable[[], object]) -> float | None:
-    """How far the resident memory rises above its level before, in MB; None where the system cannot tell (needs Linux)."""
+    """How far the resident memory rises above its level before, in MB; None where the system cannot tell."""
     clear = Path("/proc/self/clear_refs")
     if not clear.exists():
         return None

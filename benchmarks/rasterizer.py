@@ -78,7 +78,7 @@ def many(call: Callable[[], object], rounds: int) -> Timing:
 
 @torch.no_grad()
 def agreement(gaussians: Gaussians, camera: Camera) -> float:
-    """Mean absolute difference of our image and the tiled one: they must draw the same thing for a ratio to mean anything."""
+    """Mean absolute difference of our image and the tiled one; a ratio means nothing if they draw different things."""
     found, expected = cpu.rasterize(gaussians, camera, WHITE), torch_tiled.rasterize(gaussians, camera, WHITE)
     difference = float((found.image - expected.image).abs().mean())
     if difference > 1e-4:

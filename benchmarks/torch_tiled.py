@@ -1,7 +1,7 @@
-"""What one would write in plain PyTorch: vectorised projection and binning, then a loop over tiles; the opponent of the benchmark.
+"""What one would write in plain PyTorch, the opponent of the benchmark: vectorised binning, then a loop over tiles.
 
-Made as fast as this design gets: only Gaussians that meet a tile are blended there, lists come out of one sort, tiles blend with
-one matrix product, and autograd does the rest.
+Made as fast as this design gets: only Gaussians that meet a tile are blended there, lists come out of one sort,
+tiles blend with one matrix product, and autograd does the rest.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Just-in-time compiled kernels and the thread pool they run on.
 
-Kernels release the interpreter lock and never start threads of their own: `run` hands them out in fixed chunks. Results therefore do not
-depend on the number of threads, two callers never disturb each other, and a forked child simply starts a new pool.
+Kernels release the interpreter lock and never start threads of their own: `run` hands them out in fixed chunks.
+Results therefore do not depend on the number of threads, two callers never disturb each other, and a forked child
+simply starts a new pool.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from numba.core.event import Event, Listener, register
 def source_digest(folder: Path) -> str:
     """Digest of the sources in `folder` that kernels are made of.
 
-    Numba compares only the file of a kernel itself with its cache; a change in a file that it inlines would go unnoticed.
+    Numba compares only the file of a kernel itself with its cache; a change in a file that it inlines would go
+    unnoticed.
     """
     digest = hashlib.sha256(Path(__file__).read_bytes())
     at_the_top = folder == Path(__file__).parent
@@ -79,7 +81,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A helper of kernels, inlined by LLVM. It is not cached itself: that would only double the work of the first compilation."""
+    """A helper of kernels, inlined by LLVM; caching it too would only double the work of the first compilation."""
     return numba.njit(inline="never", forceinline=True, **(OPTIONS | {"cache": False}))(inspect.unwrap(function))
 
 
@@ -95,7 +97,7 @@ os.register_at_fork(after_in_child=_forget_pools)
 
 
 def run(task: Callable[[int], None], count: int) -> None:
-    """Call `task(0)` … `task(count - 1)`, on as many threads as torch uses; the caller works too. Raises what a task raised."""
+    """Call `task(0)` … `task(count - 1)` on the threads that torch may use, the caller's included; raises what they raise."""
     threads = min(torch.get_num_threads(), count)
     if threads <= 1:
         for index in range(count):
@@ -127,9 +129,10 @@ def workers() -> int:
 
 
 def share(function: Callable[..., Any], pieces: int, *arguments: Any) -> None:
-    """Let the threads call `function(tickets, *arguments)`, which takes pieces of work by raising `tickets[0]` until none is left.
+    """Let the threads call `function(tickets, *arguments)`, which takes pieces of work by raising `tickets[0]`.
 
-    `tickets[1]` numbers the workers, for scratch memory of their own. This costs one call per thread, where `run` costs one per piece.
+    `tickets[1]` numbers the workers, for scratch memory of their own. This costs one call per thread, where
+    `run` costs one per piece.
     """
     tickets = np.zeros(2, np.int64)
     run(lambda _: function(tickets, *arguments), min(workers(), pieces))

@@ -19,8 +19,9 @@ AHEAD = 32
 class Bins(NamedTuple):
     """Lists of Gaussians per tile.
 
-    `starts` [tiles + 1] into `entries` [M, 2]: a Gaussian, front to back, and the slot of its gradient in this tile. The slots of
-    Gaussian i are `slots[i]` … `slots[i + 1]`: sums over its tiles then read memory in order.
+    `starts` [tiles + 1] into `entries` [M, 2]: a Gaussian, front to back, and the slot of its gradient in this
+    tile. The slots of Gaussian i are `slots[i]` … `slots[i + 1]`: sums over its tiles then read memory in
+    order.
     """
 
     starts: np.ndarray
@@ -43,7 +44,7 @@ def box_of(boxes, index):
 
 @kernel
 def count_tiles(boxes, tiles_x, starts, slots):
-    """Count the Gaussians of every tile and the tiles of every Gaussian, both as running sums; returns the visible Gaussians."""
+    """Running sums of the Gaussians of every tile and of the tiles of every Gaussian; returns how many are visible."""
     starts[:] = 0
     seen, running = 0, 0
     for index in range(slots.size - 1):

@@ -1,7 +1,7 @@
 """What drawing and its gradient share: the geometry of a tile, and the coverage of sixteen pixels by one Gaussian.
 
-A tile is 16 × 16 pixels in sixteen blocks of 4 × 4; a block is one vector. Both passes evaluate the very same operations in the
-same order, so they agree about every pixel that is skipped or finished.
+A tile is 16 × 16 pixels in sixteen blocks of 4 × 4; a block is one vector. Both passes evaluate the very same
+operations in the same order, so they agree about every pixel that is skipped or finished.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def block_pixels(block):
 
 @inlined
 def first_light(pixel_x, pixel_y, width, height):
-    """Transmittance before anything is drawn: 1 inside the image; pixels outside of it are finished, which the sign says."""
+    """Transmittance before anything is drawn: 1 in the image, −1 (finished, as the sign says) outside of it."""
     inside = (pixel_x < width) & (pixel_y < height)
     return select(inside, np.float32(1), np.float32(-1))
 
@@ -51,8 +51,8 @@ def first_light(pixel_x, pixel_y, width, height):
 def touched_blocks(record, x, y):
     """Bits of the blocks that the ellipse alpha ≥ 1/255 meets; `x`, `y` is its centre from the corner of the tile, px.
 
-    The nearest point of a rectangle of pixel centres lies on one of the two sides that face the centre, and on a side it is
-    found in closed form. So the test is exact, apart from a little slack.
+    The nearest point of a rectangle of pixel centres lies on one of the two sides that face the centre, and on
+    a side it is found in closed form. So the test is exact, apart from a little slack.
     """
     column, row = lane_grid()
     left, top = column * np.float32(BLOCK) + (np.float32(0.5) - x), row * np.float32(BLOCK) + (np.float32(0.5) - y)
@@ -74,7 +74,7 @@ def spread(record, dx, dy):
 
 @inlined
 def coverage(u, v, opacity):
-    """log2 of alpha before its limits, and 2 to that; the second can be anything, NaN too, far outside of the ellipse."""
+    """log2 of alpha before its limits, and 2 to that, which can be anything far outside of the ellipse, NaN too."""
     power = fma(negate(u), u, fma(negate(v), v, opacity))
     return power, exp2(power)
 
@@ -89,8 +89,8 @@ def pass_light(power, raw, light):
         light: Transmittance before; negative where the pixel is finished.
 
     Returns:
-        Alpha; its share of the light, 0 where it is not blended; where it is blended; the transmittance after; the bits of
-        pixels that are finished.
+        Alpha; its share of the light, 0 where it is not blended; where it is blended; the transmittance
+        after; the bits of pixels that are finished.
     """
     alpha = minimum(raw, MOST)
     inside = power >= LOG2_MIN_ALPHA

@@ -8,6 +8,7 @@ from torch import Tensor
 from ggavatar.core import Camera, Gaussians
 from ggavatar.errors import InputError
 
+VIEW_NAMES = ("camera.intrinsics", "camera.world_to_camera", "background")
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 
@@ -63,8 +64,4 @@ def gaussian_tensors(gaussians: Gaussians) -> dict[str, Tensor]:
 
 def camera_tensors(camera: Camera, background: Tensor) -> dict[str, Tensor]:
     """The tensors of the view by the name used in messages."""
-    return {
-        "camera.intrinsics": camera.intrinsics,
-        "camera.world_to_camera": camera.world_to_camera,
-        "background": background,
-    }
+    return dict(zip(VIEW_NAMES, (camera.intrinsics, camera.world_to_camera, background), strict=True))

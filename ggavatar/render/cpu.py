@@ -1,7 +1,7 @@
 """The rasteriser that training uses on a CPU: compiled kernels over 16-lane vectors behind one autograd function.
 
-Same numerics as `ggavatar.render.reference` in float32. Results are bit-identical for any number of threads: pieces of work
-are of fixed size, every sum has a place and an order of its own, and nothing is added atomically.
+Same numerics as `ggavatar.render.reference` in float32. Results are bit-identical for any number of threads: pieces
+of work are of fixed size, every sum has a place and an order of its own, and nothing is added atomically.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from ggavatar.core import Camera, Gaussians, Rendering
 from ggavatar.errors import InputError
-from ggavatar.render.checks import FIELDS, camera_tensors, check_finite, check_shapes
+from ggavatar.render.checks import FIELDS, VIEW_NAMES, check_finite, check_shapes
 from ggavatar.render.cpu_backward import Incoming
 from ggavatar.render.cpu_forward import Canvas
 from ggavatar.render.cpu_shapes import Cloud
@@ -50,9 +50,10 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
         InputError: Shapes do not fit, a tensor holds NaN or infinity, or `intrinsics` asks for a gradient.
     """
     check_shapes(gaussians, camera, background)
-    check_finite(camera_tensors(camera, background))
     if camera.intrinsics.requires_grad:
-        raise InputError("camera.intrinsics: the cpu rasteriser gives no gradient for them; detach them or use the reference")
+        raise InputError(
+            "camera.intrinsics: the cpu rasteriser gives no gradient for them; detach them or use the reference"
+        )
     colors = gaussians.colors
     degree = used_degree(colors.shape[1], gaussians.sh_degree) if colors.ndim == 3 else -1
     means2d = padded(gaussians.means.shape[0], 2).requires_grad_(torch.is_grad_enabled())
@@ -83,6 +84,9 @@ class _Rasterize(torch.autograd.Function):
         ctx: Any, lens: Lens, means2d: Tensor, pose: Tensor, background: Tensor, *inputs: Tensor
     ) -> tuple[Tensor, ...]:
         view, cloud, radii = view_array(lens, pose, background), _cloud(inputs, lens.degree), padded(len(means2d))
+        if not np.isfinite(view).all():
+            named = zip(VIEW_NAMES, (torch.from_numpy(lens.intrinsics), pose, background), strict=True)
+            check_finite(dict(named))
         footprints = project_all(cloud, view, means2d, radii)
         if not np.isfinite(footprints.faults).all():
             check_finite({f"gaussians.{name}": tensor for name, tensor in zip(FIELDS, inputs, strict=True)})
@@ -99,7 +103,9 @@ class _Rasterize(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[Tensor | None, ...]:
         pose, *inputs, image, light, depth = ctx.saved_tensors
-        arriving = [whole_tiles(gradient, like) for gradient, like in zip(incoming, (image, light, depth), strict=False)]
+        arriving = [
+            whole_tiles(gradient, like) for gradient, like in zip(incoming, (image, light, depth), strict=False)
+        ]
         # Alpha itself is not needed again, its complement is.
         canvas = Canvas(flat(image), flat(light), flat(depth), flat(light), *ctx.drawn)
         work = ctx.footprints, ctx.bins, canvas, Incoming(*(flat(tensor) for tensor in arriving))

@@ -1,7 +1,8 @@
 """Gradient of drawing: the tiles once more from front to back, each entry of a tile's list into a slot of its own.
 
-With R what is still to be added to a pixel behind a Gaussian, ∂/∂alpha = light · ⟨g, colour⟩ − ⟨g, R⟩ / (1 − alpha). The inner
-product with R is one number per pixel that starts at ⟨g, image⟩ and falls, so nothing but the image is kept from drawing.
+With R what is still to be added to a pixel behind a Gaussian, ∂/∂alpha = light · ⟨g, colour⟩ − ⟨g, R⟩ / (1 −
+alpha). The inner product with R is one number per pixel that starts at ⟨g, image⟩ and falls, so nothing but the
+image is kept from drawing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Drawing: tile by tile, 64 Gaussians at a time, block by block, so that a block's colour and light stay in registers."""
+"""Drawing: tile by tile, 64 Gaussians at a time, block by block, so that a block stays in registers."""
 
 from __future__ import annotations
 
@@ -46,8 +46,9 @@ ONE = np.uint16(1)
 class Canvas(NamedTuple):
     """What is drawn, height and width padded to whole tiles.
 
-    `image` [H, W, 3], `light` [H, W] the transmittance that is left, `depth` [H, W], `alpha` [H, W]; `hits` [M] the blocks each entry of the tile lists was drawn in;
-    `ends` [tiles] where drawing stopped in the tile lists.
+    `image` [H, W, 3], `light` [H, W] the transmittance that is left, `depth` [H, W], `alpha` [H, W]; `hits` [M]
+    the blocks each entry of the tile lists was drawn in; `ends` [tiles] where drawing stopped in the tile
+    lists.
     """
 
     image: np.ndarray
@@ -118,7 +119,7 @@ def clear_tile(scratch, width, height):
 
 @inlined
 def gather_batch(work, entries, size, records, corner, alive):
-    """Copy up to 64 records, centres replaced by whitened ones from the tile's corner, and note the blocks each one touches."""
+    """Copy up to 64 records, their centres whitened and seen from the tile's corner, and note the blocks they touch."""
     scratch, mask = work
     for number in range(BATCH):
         if number >= size:

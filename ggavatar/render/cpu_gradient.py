@@ -58,7 +58,7 @@ TWO, HALF = np.float32(2), np.float32(0.5)
 
 
 class Gradients(NamedTuple):
-    """Gradients of the inputs, rows padded to a multiple of sixteen except for `colors`; `poses` [chunks, 15] is yet to be added up."""
+    """Gradients of the inputs, rows padded to a multiple of 16 except in `colors`; `poses` is [chunks, 15]."""
 
     means: np.ndarray
     quats: np.ndarray

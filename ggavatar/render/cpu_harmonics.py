@@ -15,7 +15,7 @@ C20, C21, C22 = (np.float32(value) for value in harmonics.C2)
 C30, C31, C32, C33, C34 = (np.float32(value) for value in harmonics.C3)
 TWO, THREE, FOUR, SIX, EIGHT = (np.float32(value) for value in (2, 3, 4, 6, 8))
 BASIS, SCRATCH = 48 * 16, 64 * 16
-"""Floats before the basis values in a worker's scratch, and in all of it: 48 coefficients and 16 basis values of 16 lanes."""
+"""Floats before the basis values in a worker's scratch, and in all of it: 48 + 16 vectors."""
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""Projection of Gaussians to the image, sixteen at a time: everything the tiles need, in one 64-byte record per Gaussian."""
+"""Projection of Gaussians, sixteen at a time: everything the tiles need, in one 64-byte record per Gaussian."""
 
 from __future__ import annotations
 
@@ -35,8 +35,9 @@ from ggavatar.render.memory import (
 )
 from ggavatar.render.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
 
-# A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px, log2 of the
-# opacity, colour, camera z, steps to the nearest point of the ellipse along y per dx and along x per dy, log2 of 255 · opacity.
+# A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px,
+# log2 of the opacity, colour, camera z, steps to the nearest point of the ellipse along y per dx and along x per
+# dy, log2 of 255 · opacity.
 XX, XY, YY, X, Y, OPACITY, RED, GREEN, BLUE, DEPTH, STEP_Y, STEP_X, REACH, RECORD = *range(13), 16
 
 CHUNK = 1024

@@ -32,7 +32,8 @@ ROTATION, TRANSLATION, FOCAL, PRINCIPAL, LIMITS, CENTER, SIZE, TILES, BACKGROUND
 class Cloud(NamedTuple):
     """The Gaussians as flat float32 arrays or pointers to them.
 
-    `rows` is the number of Gaussians; `coefficients` is the number of harmonics held per channel, 0 for RGB; `degree` the highest one to evaluate.
+    `rows` is the number of Gaussians; `coefficients` is the number of harmonics held per channel, 0 for RGB;
+    `degree` the highest one to evaluate.
     """
 
     means: np.ndarray
@@ -103,7 +104,7 @@ def to_camera(view, means):
 
 @inlined
 def unit_quaternion(quat):
-    """The quaternion at length 1 and the reciprocal of its length; any length is fine, also 0 or one that overflows squared."""
+    """The quaternion at length 1 and 1 / length; any length is fine, also 0 or one that overflows squared."""
     w, x, y, z = quat
     largest = maximum(maximum(absolute(w), absolute(x)), maximum(absolute(y), absolute(z)))
     largest = maximum(largest, np.float32(1e-30))
@@ -147,7 +148,7 @@ def turned(axis, columns):
 
 @inlined
 def covariance(axis_0, axis_1, scales):
-    """Entries xx, xy, yy of the low-passed image covariance and its determinant, from axes in the Gaussian's own frame."""
+    """Entries xx, xy, yy and determinant of the low-passed image covariance, from axes in the Gaussian's own frame."""
     m0 = (axis_0[0] * scales[0], axis_0[1] * scales[1], axis_0[2] * scales[2])
     m1 = (axis_1[0] * scales[0], axis_1[1] * scales[1], axis_1[2] * scales[2])
     low_pass = np.float32(LOW_PASS)

@@ -1,7 +1,6 @@
 """CUDA: the gsplat library behind the same call (Ye et al. 2025, arXiv 2409.06765; gsplat 1.5).
 
-Two of its numbers cannot be set and differ from `ggavatar.render.constants`: gsplat 1.5.3 limits alpha to 0.999, not 0.99, and cuts
-a Gaussian at 3.33 standard deviations even where it would still cover more than 1/255.
+One number cannot be set and differs from `ggavatar.render.constants`: gsplat 1.5.3 limits alpha to 0.999, not 0.99.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Loads, stores, transpositions and bit tricks for the 16-lane vectors of `ggavatar.render.simd`.
 
-Memory is a contiguous array or a bare pointer; indices count elements and are not checked. Kernels turn their arrays into pointers
-first, because handing an array from function to function counts references, which costs more than the arithmetic.
+Memory is a contiguous array or a bare pointer; indices count elements and are not checked. Kernels turn their
+arrays into pointers first, because handing an array from function to function counts references.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ load_columns_4 = _columns(4)
 
 
 def _interleave(builder: ir.IRBuilder, values: list[ir.Value], scalar: ir.Type) -> ir.Value:
-    """One vector with the lanes of all values in turn: a0 b0 c0 … a1 b1 c1 …"""
+    """One vector with the lanes of all values in turn: a0 b0 c0, a1 b1 c1 and so on."""
     count = len(values)
     width = 1 << (count - 1).bit_length()
     padded = values + [ir.Constant(values[0].type, ir.Undefined)] * (width - count)
@@ -286,7 +286,7 @@ def store_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, c
 
 
 def _blocks(count: int) -> tuple[Any, Any]:
-    """Intrinsics that load and store a 4 × 4 block of pixels of `count` interleaved channels, as one vector per channel."""
+    """Intrinsics that load and store 4 × 4 pixels of `count` interleaved channels, as one vector per channel."""
 
     def row_picks(row: int) -> list[int]:
         return [channel * LANES + row * 4 + x for x in range(4) for channel in range(count)]

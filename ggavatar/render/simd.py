@@ -1,7 +1,7 @@
 """A 16-lane float vector for compiled kernels: LLVM's `<16 x float>` as a Numba type.
 
-LLVM turns it into one AVX-512 register, two AVX or four NEON ones. Numba's own loops are vectorised by guesswork; here it is explicit.
-No operation carries fast-math flags, so a formula gives the same bits wherever it is inlined.
+LLVM turns it into one AVX-512 register, two AVX or four NEON ones. Numba's own loops are vectorised by guesswork;
+here it is explicit. No operation carries fast-math flags, so a formula gives the same bits wherever it is inlined.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _binary(function: Any, result: types.Type, build: Callable[[ir.IRBuilder, ir
 
     class Typing(ConcreteTemplate):
         key = function
-        cases = [signature(result, *pair) for pair in pairs]
+        cases = tuple(signature(result, *pair) for pair in pairs)
 
     infer_global(function)(Typing)
     for pair in pairs:
@@ -93,7 +93,7 @@ def _logic(function: Any, build: Callable[[ir.IRBuilder, ir.Value, ir.Value], ir
 
     class Typing(ConcreteTemplate):
         key = function
-        cases = [signature(flags, flags, flags)]
+        cases = (signature(flags, flags, flags),)
 
     infer_global(function)(Typing)
 

@@ -27,7 +27,7 @@ def random_gaussians(
     degree: int | None = None,
     spread: float = 0.3,
 ) -> Gaussians:
-    """Gaussians around the origin; with a spread of 0.8 some are behind the camera of `random_camera`. RGB for 0 coefficients."""
+    """Gaussians around the origin, with a spread of 0.8 partly behind `random_camera`; RGB for 0 coefficients."""
     generator = torch.Generator().manual_seed(seed)
 
     def normal(*shape: int) -> Tensor:

@@ -105,7 +105,7 @@ def test_the_adapter_fits_the_contract(adapter: Any, coefficients: int, degree: 
         torch.testing.assert_close(getattr(found, name), getattr(expected, name))
     torch.testing.assert_close(found.image, expected.image)
     assert found.radii.shape == (40,) and ((found.radii > 0) == (expected.radii > 0)).all()
-    # The stand-in adds 3 to the gradient of every position, for every channel of every pixel, weighted by the incoming gradient.
+    # The stand-in adds 3 to the gradient of every position, for every channel and pixel, times the incoming gradient.
     generator = torch.Generator().manual_seed(7)
     incoming = torch.randn(20, 30, 3, generator=generator, dtype=torch.float64).sum() * 3
     assert leaves["means2d"].shape == (40, 2)

@@ -61,7 +61,7 @@ def test_two_gaussians_are_blended_by_depth_not_by_row() -> None:
 def test_alpha_stops_at_the_limit_and_finished_pixels_take_no_more() -> None:
     opaque = spheres([1.0, 2.0, 3.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [[1, 0, 0], [0, 1, 0], [0, 0, 1]])
     drawn = reference.rasterize(opaque, frontal(), BLACK)
-    # 0.01 · 0.01 would leave 1e-4 of the light, which rounds below the limit or not; the third would leave 1e-6 and is not drawn.
+    # 0.01 · 0.01 leaves 1e-4 of the light, above the limit or not by rounding; the third would leave 1e-6.
     assert drawn.image[16, 16, 0].item() == pytest.approx(0.99)
     assert drawn.image[16, 16, 2].item() == 0
 
