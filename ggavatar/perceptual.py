@@ -83,8 +83,8 @@ def perceptual_loss(folder: Path | None = None, required: bool = False, seed: in
             return PerceptualLoss(name, load_weights(path), blocks)
     if required:
         raise InputError(
-            f"expected the weights of VGG16 for the perceptual loss, found none; put {VGG16.file} ({VGG16.source}) into a folder "
-            "and name it by $GGAVATAR_MODELS"
+            f"expected the weights of VGG16 for the perceptual loss, found none; put {VGG16.file} ({VGG16.source}) "
+            "into a folder and name it by $GGAVATAR_MODELS"
         )
     return PerceptualLoss("random-vgg", random_weights(seed))
 
