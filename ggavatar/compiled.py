@@ -97,7 +97,7 @@ os.register_at_fork(after_in_child=_forget_pools)
 
 
 def run(task: Callable[[int], None], count: int) -> None:
-    """Call `task(0)` … `task(count - 1)` on the threads that torch may use, the caller's included; raises what they raise."""
+    """Call `task(0)` … `task(count - 1)` on the threads torch may use, the caller too; raises what they raise."""
     threads = min(torch.get_num_threads(), count)
     if threads <= 1:
         for index in range(count):

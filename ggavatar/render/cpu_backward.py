@@ -25,12 +25,13 @@ from ggavatar.render.memory import (
     pointer,
     prefetch,
     store,
+    store_first_12,
     take_ticket,
 )
 from ggavatar.render.simd import fma, negate, select, splat
 
-SUMS = 16
-"""Floats of a slot; sums over the pixels of a tile, places below."""
+SUMS, SUMS_READ = 12, 16
+"""Floats of a slot (sums over the pixels of a tile, places below), and how many are read at once."""
 
 SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH, SUM_WEIGHT, SUM_U, SUM_V, SUM_UU, SUM_UV, SUM_VV = range(10)
 
@@ -79,13 +80,10 @@ def differentiate_tile(scratch, bins, records, view, canvas, incoming, target):
         hits = np.int64(canvas.hits[place])
         source = np.int64(bins.entries[2 * place]) * RECORD
         record = pointer(records, source)
-        store(
-            slots,
-            np.int64(bins.entries[2 * place + 1]) * SUMS,
-            entry_sums(scratch, record, hits, np.float32(left), np.float32(top)),
-        )
+        sums = entry_sums(scratch, record, hits, np.float32(left), np.float32(top))
+        store_first_12(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, sums)
     for place in range(end, stop):
-        store(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, splat(np.float32(0)))
+        store_first_12(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, splat(np.float32(0)))
 
 
 @inlined

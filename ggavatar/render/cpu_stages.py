@@ -15,7 +15,7 @@ from ggavatar.compiled import share, workers
 from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
 from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.constants import CLAMP_MARGIN
-from ggavatar.render.cpu_backward import BACKWARD_SCRATCH, SUMS, Incoming, differentiate_tiles
+from ggavatar.render.cpu_backward import BACKWARD_SCRATCH, SUMS, SUMS_READ, Incoming, differentiate_tiles
 from ggavatar.render.cpu_forward import BATCH, FORWARD_SCRATCH, Canvas, draw_tiles
 from ggavatar.render.cpu_gradient import GRADIENT_SCRATCH, POSE_SUMS, Gradients, differentiate_chunks
 from ggavatar.render.cpu_harmonics import SCRATCH
@@ -119,7 +119,7 @@ def differentiate_all(
     cloud: Cloud, view: np.ndarray, footprints: Footprints, bins: Bins, canvas: Canvas, incoming: Incoming
 ) -> tuple[tuple[Tensor, ...], np.ndarray]:
     """Gradients of means, quats, scales, opacities, colours and image positions, and the sums for the pose."""
-    slots, pieces = _floats(SUMS * canvas.hits.size), -(-canvas.ends.size // TILES_PER_TICKET)
+    slots, pieces = _floats(SUMS * canvas.hits.size + SUMS_READ), -(-canvas.ends.size // TILES_PER_TICKET)
     scratches = _floats(workers() * BACKWARD_SCRATCH)
     share(differentiate_tiles, pieces, scratches, bins, footprints.records, view, canvas, incoming, slots)
     count, chunks = cloud.rows, -(-cloud.rows // CHUNK)

@@ -62,6 +62,19 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
+def store_first_12(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+    """Write the first twelve lanes to consecutive elements."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        part = builder.shuffle_vector(args[2], args[2], ir.Constant(ir.VectorType(_I32, 12), list(range(12))))
+        builder.store(part, _vector_at(builder, pointer, part.type), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes), lower
+
+
+@intrinsic
 def gather_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any) -> Any:
     """One column of sixteen consecutive rows; rows beyond `last` repeat it."""
 
