@@ -20,14 +20,18 @@ from preprocess.generic_head import GenericHead
 from preprocess.posing import overlap, posed_vertices, project, silhouette
 from preprocess.surface_extension import SurfaceExtension
 
-WIDTH = 256
+WIDTH = 192
 """Masks are compared at this width, px."""
-FRAMES = 20
-ROUNDS = 6
-NEAR_OUTLINE = 2.5
+FRAMES = 14
+ROUNDS = 5
+NEAR_OUTLINE = 2.0
 """A vertex is on the outline if it lies within so many px of it."""
-LARGEST_STEP = 0.010
+LARGEST_STEP = 0.012
 """Largest move of a vertex in one round, m."""
+LIMITS = {"scalp": 0.045, "neck": 0.012, "shoulders": 0.05, "torso": 0.07, "ears": 0.012}
+"""Farthest that parts may move altogether, m; others a little."""
+FARTHEST = 0.06
+"""An outline farther away than this is another thing's, m."""
 PULL = 0.3
 """Weight of the outline's pull against the smoothness of the displacement."""
 PADDING = 96
@@ -63,21 +67,39 @@ def reduce_mask(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "h w"]:
 def fit_outline(
     head: HeadModel, generic: GenericHead, tracking: Tracking, outlines: Outlines
 ) -> Float[np.ndarray, "V 3"]:
-    """The template with its outline on the masks', m."""
-    connected = np.concatenate((generic.soft, _faces_of(generic, "torso"), _faces_of(generic, "ears")))
+    """The template with its outline on the masks', m.
+
+    How far parts may move is bounded: hair over shoulders is neither shoulder nor neck.
+    """
+    connected = np.concatenate((generic.soft, _faces_of(generic, "torso")))
     depths = [_inside_distance(mask) for mask in outlines.masks]
-    template = head.template.numpy().astype(np.float64)
+    first = head.template.numpy().astype(np.float64)
+    template, limits = first.copy(), _limits(generic, len(first))
     for _ in range(ROUNDS):
         current = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
         total, hits = np.zeros_like(template), np.zeros(len(template))
         for row, depth in zip(outlines.rows, depths, strict=True):
             _add_pulls(current, tracking, int(row), depth, outlines.scale, (total, hits))
-        moved = np.clip(total / np.maximum(hits, 1)[:, None], -LARGEST_STEP, LARGEST_STEP)
-        moved[generic.regions["face"]] = 0.0
+        wanted = np.clip(total / np.maximum(hits, 1)[:, None], -LARGEST_STEP, LARGEST_STEP)
+        wanted[generic.regions["face"]] = 0.0
         weights = PULL * np.minimum(hits, 4) / 4
         weights[generic.regions["face"]] = 1.0
-        template = template + _spread(connected, weights, moved)
+        weights[generic.regions["ears"]] = 0.0
+        moved = template - first + _spread(connected, weights, wanted)
+        for side in ("left_ear", "right_ear"):
+            rows = generic.regions[side]
+            outward = float(np.median(wanted[rows][hits[rows] > 0, 0])) if (hits[rows] > 0).any() else 0.0
+            moved[rows] = template[rows] - first[rows] + np.array([outward, 0.0, 0.0])
+        template = first + moved * np.minimum(1, limits / np.maximum(np.linalg.norm(moved, axis=1), 1e-9))[:, None]
     return template
+
+
+def _limits(generic: GenericHead, count: int) -> Float[np.ndarray, " V"]:
+    """Farthest that each vertex may move, m."""
+    limits = np.full(count, 0.02)
+    for name, limit in LIMITS.items():
+        limits[generic.regions[name]] = limit
+    return limits
 
 
 def _spread(faces: np.ndarray, weights: np.ndarray, moved: np.ndarray) -> np.ndarray:
@@ -122,6 +144,8 @@ def _add_pulls(
     outward = np.zeros((len(rows), 3))
     outward[:, :2] = normals[rows, :2] / flat[rows, None]
     metres = wanted * distances[rows] / (tracking.intrinsics[row, 0, 0] * scale)
+    near = np.abs(metres) < FARTHEST
+    rows, metres, outward = rows[near], metres[near], outward[near]
     total[rows] += 0.7 * metres[:, None] * outward @ pose[:3, :3]
     hits[rows] += 1
 

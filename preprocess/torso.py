@@ -21,6 +21,8 @@ from preprocess.smoothing import penalty, smooth
 TRACKING_WIDTH = 256
 CORNERS = 120
 ENOUGH = 12
+FOLLOWED = 0.6
+"""Share of frames in which the torso must have been followed for its motion to be believed."""
 CUTOFF = 2.5
 """Fastest torso motion kept, Hz."""
 
@@ -107,7 +109,7 @@ def torso_poses(motions: list[np.ndarray | None], poses: Poses, lens: Lens, fps:
     rest = _median_pose(poses)
     seen = np.array([motion is not None for motion in motions])
     parts = np.array([np.zeros(4) if motion is None else _similarity_parts(motion, rest, lens) for motion in motions])
-    if seen.sum() < 2:
+    if seen.mean() < FOLLOWED:
         parts, seen = np.zeros_like(parts), np.ones(len(parts), bool)
     parts = parts - np.median(parts[seen], axis=0)
     parts = smooth(parts, seen.astype(float), penalty(CUTOFF, fps))
