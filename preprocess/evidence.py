@@ -18,6 +18,8 @@ from preprocess.posing import overlap, posed_vertices, project, silhouette
 
 SIDE = 128
 FRAMES = 12
+CONVINCING = 0.42
+"""A hypothesis that explains less (IoU) explains nothing: a huge head covers every person a little."""
 FRAMES_AT_HAND = 64
 """Half of how many images are kept in memory while hypotheses are compared."""
 NEARLY = 0.05
@@ -130,5 +132,5 @@ def rank(evidence: Evidence, tracking: Tracking, hypotheses: Sequence[Hypothesis
     scores = tuple((hypotheses[index].name, float(overlaps[index].mean())) for index in order)
     lead = overlaps[order[0]] - overlaps[0]
     error = lead.std() / np.sqrt(max(len(lead), 1))
-    clear = order[0] != 0 and lead.mean() > max(0.01, 3 * error)
+    clear = order[0] != 0 and lead.mean() > max(0.01, 3 * error) and overlaps[order[0]].mean() > CONVINCING
     return Ranking(scores, hypotheses[order[0]] if clear else None)

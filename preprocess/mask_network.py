@@ -5,6 +5,7 @@ MediaPipe's selfie segmentation, and the user's own RVM file.
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -58,7 +59,9 @@ class RvmTorchScript:
 
         self._torch = torch
         try:
-            self._module = torch.jit.load(str(path), map_location="cpu").eval()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # newer torch calls TorchScript old; RVM is published in it
+                self._module = torch.jit.load(str(path), map_location="cpu").eval()
         except (RuntimeError, ValueError) as error:
             raise InputError(
                 f"{path}: not a TorchScript file ({str(error).splitlines()[0]}); use rvm_mobilenetv3_fp32.torchscript"

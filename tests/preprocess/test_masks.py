@@ -1,0 +1,163 @@
+"""Masks. References: a chroma key, connected components of scipy, and made-up networks whose answer is known."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from ggavatar.errors import InputError
+from preprocess.masks import SelfieMatting, only_person, open_matting, to_mask
+
+
+@dataclass
+class Known:
+    """A network that always gives the brightness of the image's red channel, noisy from call to call."""
+
+    noise: float = 0.0
+    calls: int = 0
+
+    def coverage(self, image):
+        self.calls += 1
+        generator = np.random.default_rng(self.calls)
+        clean = image[..., 0].astype(np.float32) / 255
+        return np.clip(clean + generator.normal(0, self.noise, clean.shape), 0, 1).astype(np.float32)
+
+
+def disc(x, size=64):
+    rows, columns = np.mgrid[:size, :size]
+    picture = np.zeros((size, size, 3), np.uint8)
+    picture[(rows - 32) ** 2 + (columns - x) ** 2 < 18**2] = 255
+    return picture
+
+
+def overlap(mask, truth):
+    return np.count_nonzero((mask > 127) & truth) / np.count_nonzero((mask > 127) | truth)
+
+
+def test_order_size_and_mirroring():
+    pictures = [disc(20 + 3 * step) for step in range(7)]
+    masks = list(SelfieMatting(Known()).masks(pictures))
+    assert len(masks) == 7
+    for picture, mask in zip(pictures, masks, strict=True):
+        assert mask.shape == (64, 64) and mask.dtype == np.uint8
+        assert overlap(mask, picture[..., 0] > 127) > 0.95
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_short_clips(count):
+    assert len(list(SelfieMatting(Known()).masks(disc(30) for _ in range(count)))) == count
+
+
+def test_still_pictures_get_steadier():
+    pictures = [disc(32)] * 12
+    raw = [to_mask(Known(0.2, calls).coverage(disc(32)), 64, 64) for calls in range(12)]
+    steady = list(SelfieMatting(Known(0.2)).masks(pictures))
+    inside = np.s_[24:40, 24:40]
+    flicker = [np.abs(np.diff(np.array(masks, float)[:, *inside], axis=0)).mean() for masks in (raw, steady)]
+    assert flicker[1] < 0.7 * flicker[0]
+
+
+def test_only_two_pictures_are_held():
+    held = []
+
+    def pictures():
+        for step in range(6):
+            held.append(step)
+            yield disc(30)
+
+    masks = SelfieMatting(Known()).masks(pictures())
+    next(masks)
+    assert held == [0, 1]
+
+
+def test_only_the_largest_part_stays():
+    """Reference: scipy's labelling."""
+    generator = np.random.default_rng(0)
+    mask = np.zeros((120, 120), np.uint8)
+    mask[20:100, 30:90] = 255
+    mask[50, 50] = 0
+    mask[5:12, 5:12], mask[110:115, 100:110] = 200, 255
+    mask[generator.integers(0, 15, 20), generator.integers(95, 119, 20)] = 255
+    labels, _ = ndimage.label(mask > 16, structure=np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel())[1:]
+    found = only_person(mask)
+    expected = labels == 1 + np.argmax(sizes)
+    assert np.array_equal(found > 16, expected | (np.indices(mask.shape) == 50).all(axis=0))
+    assert not only_person(np.zeros((9, 9), np.uint8)).any()
+
+
+def test_unknown_masks():
+    with pytest.raises(InputError, match="no such file or folder"):
+        open_matting("rvm.onnx", None, True)
+
+
+def test_files_that_are_no_networks(tmp_path):
+    for name in ("x.torchscript", "x.onnx"):
+        (tmp_path / name).write_bytes(b"nothing")
+        with pytest.raises(InputError, match=name):
+            open_matting(str(tmp_path / name), None, True)
+
+
+def test_rvm_torchscript_carries_its_state(tmp_path):
+    """Reference: a scripted module with RVM's signature whose alpha is the number of images it has seen, in tenths."""
+    import torch
+
+    class Scripted(torch.nn.Module):
+        def forward(
+            self,
+            src: torch.Tensor,
+            r1: torch.Tensor | None,
+            r2: torch.Tensor | None,
+            r3: torch.Tensor | None,
+            r4: torch.Tensor | None,
+            downsample_ratio: float,
+        ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+            count = torch.zeros(1)
+            if r1 is not None:
+                count = r1
+            return src, (count + 1) / 10 + 0 * src[:, :1], count + 1, count, count, count
+
+    path = tmp_path / "rvm.torchscript"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # torch says that TorchScript is old; RVM's files are
+        torch.jit.script(Scripted()).save(str(path))
+    masks = list(open_matting(str(path), None, True).masks(disc(30) for _ in range(3)))
+    assert [round(mask.mean() / 25.5) for mask in masks] == [1, 2, 3]
+
+
+def key(image):
+    """Coverage by chroma key of a green screen."""
+    levels = image.astype(np.float32)
+    corner = np.median(levels[:40, :40].reshape(-1, 3), axis=0)
+    excess = levels[..., 1] - np.maximum(levels[..., 0], levels[..., 2])
+    return 1 - np.clip((excess - 20) / (corner[1] - max(corner[0], corner[2]) - 40), 0, 1)
+
+
+@pytest.mark.weights
+def test_green_screen(data_folder, models_folder):
+    """Goal of the project: IoU ≥ 0.985 against the chroma key, and a background that does not flicker."""
+    from preprocess.video import Video
+
+    frames = [frame.image for frame in Video(data_folder / "clips" / "greenscreen_512.mp4").frames()][:24]
+    masks = np.array(list(open_matting("selfie", models_folder, True).masks(frames)))
+    truth = np.array([key(frame) for frame in frames])
+    assert np.mean([overlap(mask, alpha > 0.5) for mask, alpha in zip(masks, truth, strict=True)]) >= 0.985
+    outside = np.array([ndimage.binary_dilation(alpha > 0.01, iterations=20) for alpha in truth]).any(axis=0)
+    assert masks[:, ~outside].max() == 0
+
+
+@pytest.mark.weights
+def test_grabcut_says_it_is_a_fallback(data_folder):
+    from preprocess.video import Video
+
+    frames = [frame.image for frame in Video(data_folder / "clips" / "greenscreen_512.mp4").frames()][:6]
+    matting = open_matting("grabcut", None, True)
+    assert "fallback" in matting.warnings[0]
+    for frame, mask in zip(frames, matting.masks(frames), strict=True):
+        assert overlap(mask, key(frame) > 0.5) > 0.93
+    with pytest.raises(InputError, match="no face"):
+        next(matting.masks([np.zeros((64, 64, 3), np.uint8)]))
