@@ -72,6 +72,7 @@ def fit_outline(
     How far parts may move is bounded: hair over shoulders is neither shoulder nor neck.
     """
     connected = np.concatenate((generic.soft, _faces_of(generic, "torso")))
+    outer = np.concatenate((connected, _faces_of(generic, "ears")))
     depths = [_inside_distance(mask) for mask in outlines.masks]
     first = head.template.numpy().astype(np.float64)
     template, limits = first.copy(), _limits(generic, len(first))
@@ -79,7 +80,7 @@ def fit_outline(
         current = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
         total, hits = np.zeros_like(template), np.zeros(len(template))
         for row, depth in zip(outlines.rows, depths, strict=True):
-            _add_pulls(current, tracking, int(row), depth, outlines.scale, (total, hits))
+            _add_pulls((current, outer), tracking, int(row), depth, outlines.scale, (total, hits))
         wanted = np.clip(total / np.maximum(hits, 1)[:, None], -LARGEST_STEP, LARGEST_STEP)
         wanted[generic.regions["face"]] = 0.0
         weights = PULL * np.minimum(hits, 4) / 4
@@ -123,12 +124,16 @@ def _inside_distance(mask: np.ndarray) -> np.ndarray:
 
 
 def _add_pulls(
-    head: HeadModel, tracking: Tracking, row: int, depth: np.ndarray, scale: float, sums: tuple[np.ndarray, np.ndarray]
+    surface: tuple[HeadModel, np.ndarray],
+    tracking: Tracking,
+    row: int,
+    depth: np.ndarray,
+    scale: float,
+    sums: tuple[np.ndarray, np.ndarray],
 ) -> None:
     """Add to displacement and count of every vertex on the mesh's outline what one frame's mask asks for."""
-    total, hits = sums
+    (head, faces), (total, hits) = surface, sums
     height, width = depth.shape[0] - 2 * PADDING, depth.shape[1] - 2 * PADDING
-    faces = head.faces.numpy()
     vertices = posed_vertices(head, tracking, row)
     pose = tracking.world_to_camera[row]
     pixels, distances = project(vertices, np.diag([scale, scale, 1.0]) @ tracking.intrinsics[row], pose)

@@ -1,0 +1,122 @@
+"""The subject's own head: landmarks where they were asked for, lids that close, an outline that follows the masks."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ggavatar.capture import Tracking
+from ggavatar.head.model import HeadModel
+from preprocess import face_topology as topology
+from preprocess.expression_axes import AXES
+from preprocess.generic_head import GenericHead, generic_head
+from preprocess.posing import posed_vertices, project, silhouette
+from preprocess.silhouette_fit import Outlines, fit_outline, outline_overlap
+from preprocess.tracked_head import PersonalShape, assemble, fit_shape, lid_axes
+
+pytestmark = pytest.mark.weights
+
+
+@pytest.fixture(scope="module")
+def generic(canonical) -> GenericHead:
+    return generic_head(canonical)
+
+
+@pytest.fixture(scope="module")
+def neutral(generic: GenericHead) -> np.ndarray:
+    """Landmarks of a made-up person: the generic ones, longer, with a broad nose."""
+    points = generic.landmarks @ generic.vertices
+    points[:, 1] *= 1.08
+    points[:, 0] *= 1 + 0.1 * np.exp(-(((points[:, 2] - 0.06) / 0.02) ** 2))
+    return points
+
+
+@pytest.fixture(scope="module")
+def person(generic: GenericHead, neutral: np.ndarray) -> tuple[HeadModel, PersonalShape]:
+    shape = fit_shape(generic, neutral)
+    named = (generic.landmarks @ generic.axes.reshape(len(generic.vertices), -1)).reshape(468, 3, -1)
+    return assemble(generic, shape, named, np.zeros((468, 3, 2)), lid_axes(neutral, shape)), shape
+
+
+def test_landmarks_lie_on_the_generic_face_where_the_canonical_ones_do(generic: GenericHead, canonical) -> None:
+    placed = generic.landmarks @ generic.vertices
+    apart = np.linalg.norm(placed - canonical.vertices, axis=1)
+    assert np.median(apart) < 0.008 and apart.max() < 0.02
+    mouth, eyes = generic.regions["mouth"], generic.regions["eyes"]
+    assert np.isin(generic.embedding.corners[topology.UPPER_LIP_MARGIN], mouth).any(axis=1).all()
+    assert np.isin(generic.embedding.corners[topology.LEFT_UPPER_LID], eyes).any(axis=1).all()
+
+
+def test_template_passes_through_the_neutral_landmarks(generic: GenericHead, neutral: np.ndarray, person) -> None:
+    head, _ = person
+    missed = np.linalg.norm(generic.landmarks @ head.template.numpy() - neutral, axis=1)
+    assert np.median(missed) < 0.0005 and np.percentile(missed, 95) < 0.002
+    assert head.version == "tracked-1"
+    assert head.expression_basis.shape[2] == len(AXES) + 2
+    np.testing.assert_allclose(head.skinning_weights.sum(dim=1).numpy(), 1, atol=1e-5)
+
+
+def test_joints_are_where_the_shape_says_and_no_expression_moves_them(person) -> None:
+    head, shape = person
+    rest = (head.joint_regressor @ head.template).numpy()
+    np.testing.assert_allclose(rest, shape.joints, atol=1e-5)
+    moved = torch.einsum("jv,vxe->jxe", head.joint_regressor, head.expression_basis)
+    assert float(moved.abs().max()) < 2e-4
+
+
+def test_closed_lids_meet(generic: GenericHead, person) -> None:
+    head, _ = person
+    drive = dataclasses.replace(head.neutral_drive(), eyelids=torch.ones(2))
+    for lids, side in (
+        ((topology.LEFT_UPPER_LID, topology.LEFT_LOWER_LID), 0),
+        ((topology.RIGHT_UPPER_LID, topology.RIGHT_LOWER_LID), 1),
+    ):
+        upper, lower = (
+            generic.landmarks @ vertices for vertices in (head.vertices(drive).numpy(), head.template.numpy())
+        )
+        closed = np.linalg.norm(upper[lids[0]] - upper[lids[1]], axis=1)[2:-2]
+        opened = np.linalg.norm(lower[lids[0]] - lower[lids[1]], axis=1)[2:-2]
+        assert (closed < 0.3 * opened).all(), side
+
+
+def test_torso_joint_leaves_the_head_alone(generic: GenericHead, person) -> None:
+    head, _ = person
+    turns = torch.zeros(len(head.parents), 3)
+    turns[head.joint("cervical"), 0], turns[head.joint("torso"), 1] = 0.2, 0.1
+    moved = (head.vertices(dataclasses.replace(head.neutral_drive(), joint_rotations=turns)) - head.template).norm(
+        dim=1
+    )
+    assert float(moved[generic.regions["face"]].max()) < 0.002
+    assert float(moved[generic.regions["torso"]].min()) > 0.005
+
+
+def test_outline_follows_the_masks_and_the_face_stays(generic: GenericHead, person) -> None:
+    head, _ = person
+    rows, size = np.arange(4), 192
+    pose = np.tile(np.eye(4), (4, 1, 1))
+    yaw = Rotation.from_euler("y", [[-25], [-8], [8], [25]], degrees=True)
+    pose[:, :3, :3] = (Rotation.from_euler("x", 180, degrees=True) * yaw).as_matrix()
+    pose[:, 2, 3] = 1.0
+    intrinsics = np.tile([[300.0, 0, 96], [0, 300, 80], [0, 0, 1]], (4, 1, 1))
+    joints = np.zeros((4, len(head.parents), 3))
+    expression = np.zeros((4, head.expression_basis.shape[2]))
+    tracking = Tracking(intrinsics, pose, expression, joints, np.zeros((4, 2)), np.zeros((4, 3)))
+    hairy = head.template.clone()
+    scalp = generic.regions["scalp"]
+    hairy[scalp] *= 1.15
+    masks = []
+    for row in rows:
+        vertices = posed_vertices(dataclasses.replace(head, template=hairy), tracking, int(row))
+        pixels, depths = project(vertices, intrinsics[row], pose[row])
+        masks.append(silhouette(pixels, depths, generic.faces, (size, size)).astype(np.uint8) * 255)
+    outlines = Outlines(rows, np.stack(masks), 1.0)
+    template = fit_outline(head, generic, tracking, outlines)
+    fitted = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
+    before, after = outline_overlap(head, tracking, outlines), outline_overlap(fitted, tracking, outlines)
+    assert 1 - after < 0.5 * (1 - before)
+    face = generic.regions["face"]
+    assert np.median(np.linalg.norm(template[face] - head.template.numpy()[face], axis=1)) < 0.002
