@@ -35,11 +35,15 @@ class Timing:
 
 
 def interleaved(candidates: dict[str, Callable[[], object]], rounds: int, warm_up: int = 1) -> dict[str, Timing]:
-    """Call the candidates A B C A B C …, so that a change of the machine's mood hits all of them."""
+    """Call the candidates A B C A B C …, so that a change of the machine's mood hits all of them.
+
+    Every turn is one untimed call and a timed one, so that nobody pays for the heap that its predecessor left.
+    """
     samples: dict[str, list[tuple[float, float]]] = {name: [] for name in candidates}
     for number in range(warm_up + rounds):
         for name, call in candidates.items():
             gc.collect()
+            call()
             cpu, wall = time.process_time(), time.perf_counter()
             call()
             sample = time.process_time() - cpu, time.perf_counter() - wall

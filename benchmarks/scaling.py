@@ -63,6 +63,7 @@ def plot(by_count: list[dict[str, float]], by_size: list[dict[str, float]], path
                 f"{value:.0f}", (amount, value), xytext=(0, 6), textcoords="offset points", ha="center", fontsize=8
             )
         axis.grid(alpha=0.3, which="both")
+        axis.margins(y=0.12)
     axes[0].set(xlabel=f"Gaussians (image {BASE_SIZE}²)", ylabel="CPU time, 1 thread, ms")
     axes[1].set(xlabel=f"pixels ({BASE_COUNT // 1000}k Gaussians)")
     axes[0].legend(frameon=False)
