@@ -5,6 +5,7 @@ No pickled objects, no allocation before the sizes are known, atomic writes.
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 import zipfile
@@ -91,7 +92,9 @@ class _opened:
             raise InputError(f"{self._path}: no such file") from error
         except IsADirectoryError as error:
             raise InputError(f"{self._path}: expected an npz file, found a folder") from error
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError) as error:
+        except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError, OSError) as error:
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # entries before the beginning
+                raise
             raise InputError(
                 f"{self._path}: expected an npz file, found something else or a damaged one ({error})"
             ) from error

@@ -6,6 +6,7 @@ with what a file contains. Opcodes outside a short list are refused, and sizes a
 
 from __future__ import annotations
 
+import errno
 import io
 import pickle
 import struct
@@ -216,6 +217,10 @@ def read_pickle(path: Path) -> Any:
         ) from error
     except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise InputError(f"{path}: damaged archive ({error}); copy or make the file again") from error
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # an archive whose entries lie before its beginning
+            raise
+        raise InputError(f"{path}: damaged archive; copy or make the file again") from error
     except _DAMAGED as error:
         raise InputError(
             f"{path}: not a readable pickle ({type(error).__name__}); copy or make the file again"

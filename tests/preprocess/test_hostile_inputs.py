@@ -1,0 +1,173 @@
+"""Seeded mutations of every kind of file a user may give: nothing runs, only InputError comes out and names the file.
+
+$GGAVATAR_MUTATIONS sets how many there are of each kind (120 if not set).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import zipfile
+
+import numpy as np
+import pytest
+from made_up_subject import moving_record, write_video
+
+from ggavatar.arrays import read_npz
+from ggavatar.capture_checks import read_json
+from ggavatar.errors import InputError
+from ggavatar.pictures import read_grey, read_rgb, write_jpeg, write_png
+from preprocess.frames import open_source
+from preprocess.importing import importer, importer_names
+
+COUNT = int(os.environ.get("GGAVATAR_MUTATIONS", "120"))
+
+
+def mutated(data: bytes, generator: random.Random) -> bytes:
+    """Bytes flipped, cut off, repeated, or runs of them overwritten."""
+    changed = bytearray(data)
+    for _ in range(generator.choice((1, 1, 2, 4, 16))):
+        changed[generator.randrange(len(changed))] = generator.choice((0, 1, 127, 128, 255, generator.randrange(256)))
+    kind = generator.random()
+    if kind < 0.15:
+        del changed[generator.randrange(len(changed)) :]
+    elif kind < 0.25:
+        start = generator.randrange(len(changed))
+        changed[start:start] = changed[start : start + 64]
+    elif kind < 0.3:
+        start = generator.randrange(len(changed))
+        changed[start : start + 8] = b"\xff" * len(changed[start : start + 8])
+    return bytes(changed)
+
+
+def survive(path, original, read, seed, count=COUNT):
+    """Read many mutants of a file; returns how many were refused. Anything but InputError fails the test."""
+    generator, refused = random.Random(seed), 0
+    for _ in range(count):
+        path.write_bytes(mutated(original, generator))
+        try:
+            read()
+        except InputError as error:
+            refused += 1
+            assert path.name in str(error) or str(path.parent) in str(error)
+    return refused
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory():
+    """One gigabyte more than now, at most."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20
+
+
+def test_npz(tmp_path):
+    path = tmp_path / "mutant.npz"
+    for seed, save in enumerate((np.savez, np.savez_compressed)):
+        save(path, a=np.arange(50.0), b=np.array("text"), c=np.zeros((3, 4, 5), np.float32))
+        assert survive(path, path.read_bytes(), lambda: read_npz(path), seed) > COUNT // 10
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_pictures(tmp_path, suffix):
+    path = tmp_path / f"mutant{suffix}"
+    picture = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+    write_png(path, picture) if suffix == ".png" else write_jpeg(path, picture)
+    for read in (read_rgb, read_grey):
+        assert survive(path, path.read_bytes(), lambda read=read: read(path), 3) > 0
+        write_png(path, picture) if suffix == ".png" else write_jpeg(path, picture)
+
+
+def test_json(tmp_path):
+    path = tmp_path / "mutant.json"
+    text = json.dumps({"schema": "x", "frames": list(range(30)), "nested": {"a": [1.5, None, "é"]}}).encode()
+    assert survive(path, text, lambda: read_json(path), 4) > COUNT // 4
+    for odd in (
+        b"[" * 100_000,
+        b'{"a": NaN}',
+        b'{"a": Infinity}',
+        b"null",
+        b"\xff\xfe",
+        b'{"a": 1e999}',
+        b"9" * 10_000,
+    ):
+        path.write_bytes(odd)
+        try:
+            read_json(path)
+        except InputError as error:
+            assert "mutant.json" in str(error)
+
+
+@pytest.mark.parametrize("container", ["mp4", "mkv", "avi"])
+def test_videos(tmp_path, container):
+    path = tmp_path / f"mutant.{container}"
+    write_video(path, [np.full((48, 64, 3), 10 * number, np.uint8) for number in range(10)])
+
+    def read():
+        source = open_source(path)
+        for frame in source.frames():
+            assert frame.image.size <= 3 << 26
+
+    survive(path, path.read_bytes(), read, 5, COUNT // 2)
+
+
+@pytest.mark.parametrize("name", importer_names())
+def test_importers(tmp_path, name):
+    """Every text and binary file of every format in turn; values as well as bytes."""
+    record = moving_record(3)
+    record.joint_rotations[:, :2] = 0
+    target = tmp_path / ("tracking.npz" if name == "npz" else name)
+    importer(name).write(target, record)
+    files = [target] if target.is_file() else sorted(path for path in target.rglob("*") if path.is_file())
+    kinds = {path.suffix: path for path in files}
+    for seed, path in enumerate(kinds.values()):
+        original = path.read_bytes()
+        survive(path, original, lambda: importer(name).read(target), seed, COUNT // 2)
+        if path.suffix == ".json":
+            survive_values(path, original, lambda: importer(name).read(target), seed)
+        path.write_bytes(original)
+    assert len(importer(name).read(target).numbers) == 3
+
+
+ODD_VALUES = (None, True, -1, 10**30, 1e300, "x", "../../etc/passwd", [], {}, [[]], [1, "2"], "\0", "9" * 30)
+
+
+def survive_values(path, original, read, seed):
+    """Replace values anywhere in a JSON file by others."""
+    generator = random.Random(seed)
+    for _ in range(COUNT // 2):
+        data = json.loads(original)
+        spot, key = data, None
+        for _ in range(generator.randint(1, 5)):
+            inside = spot if key is None else spot[key]
+            if not isinstance(inside, dict | list) or not inside:
+                break
+            spot = inside
+            key = generator.choice(list(spot)) if isinstance(spot, dict) else generator.randrange(len(spot))
+        spot[key] = generator.choice(ODD_VALUES)
+        path.write_text(json.dumps(data))
+        try:
+            read()
+        except InputError as error:
+            assert path.name in str(error) or str(path.parent) in str(error)
+
+
+def test_archive_with_millions_of_entries(tmp_path):
+    path = tmp_path / "many.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        for number in range(5000):
+            archive.writestr(f"{number}.npy", b"")
+    with pytest.raises(InputError, match="at most 4096 arrays"):
+        read_npz(path)
+
+
+def test_pixel_bomb_in_a_folder_of_pictures(tmp_path):
+    write_png(tmp_path / "00000.png", np.zeros((4, 4), np.uint8))
+    data = bytearray((tmp_path / "00000.png").read_bytes())
+    data[16:24] = (60_000).to_bytes(4, "big") * 2
+    (tmp_path / "00001.png").write_bytes(data)
+    source = open_source(tmp_path)
+    with pytest.raises(InputError, match=r"00001\.png"):
+        list(source.frames())
