@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
 from preprocess import models
 from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
-from preprocess.expression_axes import AXES
+from preprocess.expression_axes import AXES, score
 from preprocess.face_bundle import CanonicalFace, canonical_face
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_tracking import track_flame
@@ -29,6 +30,8 @@ from preprocess.torso import TorsoPivots, TorsoTracker, neck_turns, torso_poses
 from preprocess.tracked_head import assemble, move_eyes
 
 ENOUGH_FRAMES = 8
+BLINK = 0.5
+"""Score from which an eye counts as closed."""
 EXPRESSION_CUTOFF, LID_CUTOFF = 6.0, 9.0
 """Fastest motion of expression, jaw and gaze, and of the lids, that is kept, Hz."""
 
@@ -151,10 +154,21 @@ def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
         world_to_camera=camera.poses.matrices(),
         expression=steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF),
         joint_rotations=joints,
-        eyelids=np.clip(steady(fit.motion.coefficients[:, -2:], LID_CUTOFF), -0.3, 1.1),
+        eyelids=closing(steady(fit.motion.coefficients[:, -2:], LID_CUTOFF), clip.blendshapes),
         translation=np.zeros((count, 3)),
         landmarks=np.where(clip.seen[:, None, None], clip.points, np.nan),
     )
+
+
+def closing(lids: Float[np.ndarray, "T 2"], blendshapes: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T 2"]:
+    """Lid values stretched so that the clip's blinks close the lids.
+
+    The landmark network leaves a gap between closed lids. A clip without a blink is left as it is.
+    """
+    blinks = np.stack([score(blendshapes, name) for name in ("eyeBlinkLeft", "eyeBlinkRight")], axis=1)
+    highest = np.percentile(lids, 99.5, axis=0)
+    gain = np.where(np.percentile(blinks, 99.5, axis=0) > BLINK, 1 / np.clip(highest, 0.5, 1.0), 1.0)
+    return np.clip(gain * lids, -0.3, 1.1)
 
 
 def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from preprocess.expression_basis import (
 )
 from preprocess.face_model import FaceModel, FaceMotion
 from preprocess.rigid import Lens, Observations, Poses, project
+from preprocess.tracking import closing
 
 FRAMES, POINTS, COUNT = 90, 40, 3
 
@@ -102,3 +103,13 @@ def test_named_axes_know_their_generic_expressions() -> None:
     assert not mixture[:, AXES.index("mouthClose")].any()
     scores = np.arange(52.0)[None]
     assert axis_scores(scores)[0, AXES.index("noseSneerRight")] == NAMES.index("noseSneerRight")
+
+
+def test_blinks_are_stretched_to_closed_lids_and_open_eyes_left_alone() -> None:
+    lids = np.zeros((400, 2))
+    lids[50:60] = 0.6
+    scores = np.zeros((400, 52))
+    scores[50:60, NAMES.index("eyeBlinkLeft")] = 0.7
+    found = closing(lids, scores)
+    np.testing.assert_allclose(found[50:60], np.tile([1.0, 0.6], (10, 1)), atol=1e-9)
+    assert not found[:50].any()
