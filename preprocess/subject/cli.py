@@ -72,7 +72,7 @@ def _write(options: Options) -> None:
         f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'}"
         f" --masks {folder / 'masks'}"
     )
-    sys.stdout.write(f" --head {folder / 'head.npz'} -o capture\n")
+    sys.stdout.write(f" --head-model {folder / 'head.npz'} -o capture\n")
 
 
 def _shown(work: Iterator[int], total: int) -> Iterator[int]:
