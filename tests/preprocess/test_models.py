@@ -1,0 +1,136 @@
+"""Where model files are looked for, in which order, and what is refused. Nothing is fetched.
+
+The network is replaced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+
+import pytest
+
+from ggavatar.errors import InputError
+from preprocess import models
+from preprocess.models import TABLE, Edition, Model, resolve
+
+RIGHT, OTHER = b"the network", b"the network of the wheel"
+
+
+def digest(data):
+    return hashlib.sha256(data).hexdigest()
+
+
+@pytest.fixture
+def places(tmp_path, monkeypatch):
+    """Three folders and a table with one made-up model; every attempt to fetch is counted."""
+    calls = []
+
+    def download(address):
+        calls.append(address)
+        raise OSError("no network")
+
+    def wheel(member):
+        calls.append(member)
+        raise ValueError("no index")
+
+    first = Edition(("net.tflite", "alias.tflite"), digest(RIGHT), "https://example.org/net.tflite")
+    second = Edition(("net_wheel.tflite",), digest(OTHER), None, "package/net.tflite")
+    monkeypatch.setitem(TABLE, "net", Model("testing", "none", (first, second)))
+    monkeypatch.setattr(models, "download", download)
+    monkeypatch.setattr(models, "from_wheel", wheel)
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("GGAVATAR_MODELS", str(tmp_path / "environment"))
+    for name in ("given", "environment", "cache/ggavatar/models"):
+        (tmp_path / name).mkdir(parents=True)
+    return tmp_path, calls
+
+
+def test_order_of_places(places):
+    folder, calls = places
+    cached = folder / "cache" / "ggavatar" / "models" / "net.tflite"
+    for path in (cached, folder / "environment" / "alias.tflite", folder / "given" / "net.tflite"):
+        path.write_bytes(RIGHT)
+        assert resolve("net", folder / "given") == path
+    assert not calls
+
+
+def test_wrong_contents_are_refused(places):
+    folder, calls = places
+    (folder / "given" / "net.tflite").write_bytes(b"something else")
+    with pytest.raises(InputError, match=r"given/net\.tflite: refused.*SHA-256"):
+        resolve("net", folder / "given")
+    assert not calls
+
+
+def test_offline_names_file_addresses_and_folder(places):
+    folder, calls = places
+    with pytest.raises(InputError) as caught:
+        resolve("net", None, offline=True)
+    message = str(caught.value)
+    assert not calls and "net.tflite" in message and "https://example.org/net.tflite" in message
+    assert models.WHEEL in message and str(folder / "cache") in message
+
+
+def test_environment_forbids_the_network(places, monkeypatch):
+    monkeypatch.setenv("GGAVATAR_OFFLINE", "1")
+    with pytest.raises(InputError, match="offline"):
+        resolve("net")
+    assert not places[1]
+
+
+def test_address_then_wheel_then_error(places, monkeypatch):
+    calls = places[1]
+    with pytest.raises(InputError, match=r"no network.*no index"):
+        resolve("net")
+    assert calls == ["https://example.org/net.tflite", "package/net.tflite"]
+    monkeypatch.setattr(models, "from_wheel", lambda member: OTHER)
+    assert resolve("net").read_bytes() == OTHER
+    assert resolve("net", offline=True).name == "net_wheel.tflite"
+
+
+def test_fetched_contents_are_checked(places, monkeypatch):
+    folder, _ = places
+    monkeypatch.setattr(models, "download", lambda address: b"a login page")
+    with pytest.raises(InputError, match="delivered other contents"):
+        resolve("net")
+    assert not list((folder / "cache").rglob("*.tflite"))
+    monkeypatch.setattr(models, "download", lambda address: RIGHT)
+    assert resolve("net").read_bytes() == RIGHT
+
+
+def test_only_https_is_used():
+    for address in ("http://example.org/x", "file:///etc/passwd", "ftp://example.org/x"):
+        with pytest.raises(ValueError, match="https"):
+            models.download(address)
+
+
+def test_wheel_is_opened_not_installed(tmp_path, monkeypatch):
+    """pip is replaced by writing the wheel it would bring."""
+
+    class Ran:
+        returncode, stderr = 0, ""
+
+    def pip(command, **_):
+        assert command[1:4] == ["-m", "pip", "download"] and "--no-deps" in command and models.WHEEL in command
+        target = next(part.removeprefix("--dest=") for part in command if part.startswith("--dest="))
+        with zipfile.ZipFile(f"{target}/mediapipe.whl", "w") as archive:
+            archive.writestr("package/net.tflite", OTHER)
+        return Ran
+
+    monkeypatch.setattr(models.subprocess, "run", pip)
+    assert models.from_wheel("package/net.tflite") == OTHER
+
+
+def test_table_is_complete():
+    for name, model in TABLE.items():
+        assert model.licence and model.purpose and model.editions, name
+        for edition in model.editions:
+            assert len(edition.sha256) == 64 and (edition.address or edition.member)
+            assert edition.address is None or edition.address.startswith("https://storage.googleapis.com/mediapipe-")
+
+
+@pytest.mark.weights
+def test_known_files_are_accepted(models_folder):
+    for name in ("face_landmarker", "selfie_segmentation"):
+        assert resolve(name, models_folder, offline=True).parent == models_folder
