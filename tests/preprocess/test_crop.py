@@ -41,7 +41,7 @@ def test_intrinsics_follow_the_pixels(crop):
     known = ((expected > 9) & (expected < [119, 87])).all(axis=-1)
     error = (shown[..., :2] - expected)[known]
     assert np.abs(error).max(initial=0) < 1.1
-    assert len(error) < 50 or np.abs(error.mean(axis=0)).max() < 0.2
+    assert len(error) < 50 or np.abs(error.mean(axis=0)).max() < 0.3
 
 
 def test_outside_is_black():
