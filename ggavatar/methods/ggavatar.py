@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.binding import Placed, bind
-from ggavatar.colors import rgb_to_sh, splatted_colors
+from ggavatar.colors import SH_C0, rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.density import DensityControl, accumulate, statistics
@@ -27,7 +27,7 @@ from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTripl
 from ggavatar.geometry import TriangleFrames, project, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
-from ggavatar.offsets import Offsets, refine
+from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
 from ggavatar.pose import POSE_FEATURES, HeadPoses
 from ggavatar.rows import Column, Rows
@@ -51,7 +51,7 @@ class Config:
     adjuster: bool = True
     """Whether there is a Geometry Morph Adjuster (Table 2, w/o Geometry Morph Adjuster)."""
     pose_on: Literal["camera", "neck"] = "camera"
-    """Where the head pose acts: on the camera alone (the paper), or also on the neck, so that the torso is still (A12)."""
+    """Where the head pose acts: on the camera (the paper), or on the neck too, so that the torso is still (A12)."""
     condition: Literal["face", "face_and_pose"] = "face"
     """What F_ψθ sees: facial parameters (the paper), or the head pose within its training range too (A12)."""
     field: Literal["triplane", "fourier"] = "triplane"
@@ -112,6 +112,8 @@ class Config:
     """Octaves of the positional encoding in w/o tri-plane (NeRF)."""
     offset_unit: float = 0.01
     """Metres per unit of Δμ (A6)."""
+    color_unit: float = 0.0
+    """Colour, as sRGB, per unit of three further rows of the basis; 0 is the paper, whose basis has none."""
     network_rate: float = 1e-4
     """Learning rate of F_H and F_ψθ (Sec. 3.5)."""
     field_rate: float = 5e-3
@@ -152,6 +154,8 @@ SHORT: dict[str, Any] = {
     "condition": "face_and_pose",
     "first_colors": "frames",
     "perceptual_mode": "crops",
+    "crop_side": 96,
+    "crop_probability": 0.1,
     "density_start": 5_000,
     "density_ramp": True,
     "network_rate": 1e-3,
@@ -201,13 +205,14 @@ class GGAvatar(nn.Module):
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space (Eq. 4–12)."""
-        rows = self.rows
         means, quats, scales = self._placed(self._face_frames(drive))
         if self.adjuster is not None and not self.is_neutral:
             offsets = self._offsets(self._condition(drive))  # Eq. 9–11, W never built
             means, quats, scales = refine(means, quats, scales, offsets, self.config.offset_unit)  # Eq. 12
-        colors = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
-        return Gaussians(means, quats, scales, rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
+            colors = self._colors(offsets)
+        else:
+            colors = self._colors(None)
+        return Gaussians(means, quats, scales, self.rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
         """The weighted terms of Eq. 13–16."""
@@ -282,6 +287,13 @@ class GGAvatar(nn.Module):
         """The Gaussians on the neutral head."""
         return self._placed(self.neutral_frames).means
 
+    def _colors(self, offsets: Offsets | None) -> Float[Tensor, "N K 3"]:
+        """Spherical harmonics; with colour rows, the constant one moves with the condition."""
+        constant = self.rows["sh"]
+        if offsets is not None and offsets.colors is not None:
+            constant = constant + (self.config.color_unit / SH_C0) * offsets.colors[:, None]
+        return torch.cat((constant, self.rows["sh_rest"]), dim=1) if self.config.sh_degree else constant
+
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
         interval = max(scaled(self.config.sh_iterations, self.scene.steps), 1)
@@ -333,9 +345,9 @@ def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
     )
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
     conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
-    return BasisAdjuster(
-        field, conditions, AdjusterConfig(config.latent, config.hidden, config.latent_hidden), generator
-    ).to(scene.background.device)
+    rows = COLOUR + 3 if config.color_unit else COLOUR
+    adjuster_sizes = AdjusterConfig(config.latent, config.hidden, config.latent_hidden, rows)
+    return BasisAdjuster(field, conditions, adjuster_sizes, generator).to(scene.background.device)
 
 
 def adjuster_optimizer(config: Config, adjuster: BasisAdjuster) -> torch.optim.Optimizer:

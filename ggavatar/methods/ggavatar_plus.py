@@ -1,0 +1,142 @@
+"""GGAvatar plus: the paper's avatar with a still torso, a bounded head pose as condition, and colours that follow both.
+
+Ours. It holds a `ggavatar.GGAvatar` and states only what differs; docs/log.md has what each difference is worth.
+
+    1. The head pose acts on the neck too: what does not turn with the head need not be explained by offsets.
+    2. The latent network sees the head pose, held within its training range.
+    3. The basis has three more rows, for colour: wrinkles, shading, gaze (as in RGBAvatar and GPAvatar).
+    4. Mouth and eyes weigh more in the image loss (as in FlashAvatar), and coverage is compared with the mask.
+    5. First colours come from the frames, and the budget of rows opens evenly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.losses import l1
+from ggavatar.methods import ggavatar
+from ggavatar.scene import Scene
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Config:
+    """What differs from the paper. Iterations are those of 120,000 and scale with the length of the training."""
+
+    torso: bool = True
+    """Whether the torso stays still while the head turns."""
+    pose_condition: bool = True
+    """Whether the latent network sees the head pose."""
+    color_unit: float = 0.1
+    """Colour, as sRGB, per unit of a colour row; 0 leaves colours alone."""
+    latent: int = 32
+    """Length of the latent vector."""
+    network_rate: float = 1e-3
+    """Learning rate of the networks; ten times the paper's, for trainings a tenth as long or shorter."""
+    sh_degree: int = 1
+    """Highest degree of the spherical harmonics, 0 to 3."""
+    sh_iterations: int = 20_000
+    """Iterations between two rises of the degree in use."""
+    density_start: int = 5_000
+    """Density control begins after this iteration."""
+    region_weight: float = 1.0
+    """L1 over the boxes of mouth and eyes, as a multiple of its weight in the image loss, on top of it; 0 is none."""
+    alpha_weight: float = 0.1
+    """Weight of the mean absolute difference between coverage and mask."""
+    perceptual_weight: float = 0.02
+    """Weight of the perceptual loss on crops (λ2)."""
+    crop_side: int = 96
+    """Side of a crop, px."""
+    crop_probability: float = 0.1
+    """Share of the steps with a crop."""
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "without_torso": {"torso": False},
+    "without_pose": {"pose_condition": False},
+    "without_colour": {"color_unit": 0.0},
+    "without_regions": {"region_weight": 0.0},
+    "without_alpha": {"alpha_weight": 0.0},
+}
+
+
+def build(config: Config, scene: Scene) -> GGAvatarPlus:
+    """The avatar before its first step."""
+    return GGAvatarPlus(config, scene)
+
+
+class GGAvatarPlus(nn.Module):
+    """The paper's avatar with our settings and two more terms in its objective."""
+
+    def __init__(self, config: Config, scene: Scene) -> None:
+        super().__init__()
+        self.config = config
+        self.avatar = ggavatar.build(paper_config(config), scene)
+
+    def gaussians(self, drive: Drive) -> Gaussians:
+        """The avatar posed by `drive`, in world space."""
+        return self.avatar.gaussians(drive)
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
+        """The paper's terms, coverage, and the regions that people look at."""
+        terms = dict(self.avatar.losses(frame, rendering, step))
+        if self.config.alpha_weight:
+            terms["alpha"] = self.config.alpha_weight * l1(rendering.alpha, frame.alpha)
+        if self.config.region_weight and not self.avatar.is_neutral:
+            boxes = ggavatar.region_boxes(self.avatar.head, frame)
+            share = 1 - self.avatar.config.dssim_share
+            terms["regions"] = self.config.region_weight * share * regions_l1(rendering.image, frame.image, boxes)
+        return terms
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """Those of the paper's avatar."""
+        return self.avatar.optimizers()
+
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        """Density control after `step`; rates and stage of the next."""
+        self.avatar.after_backward(rendering, step)
+
+    def notes(self) -> dict[str, str]:
+        """Which features the perceptual loss used."""
+        return self.avatar.notes()
+
+
+def paper_config(config: Config) -> ggavatar.Config:
+    """The paper's method with our settings."""
+    return ggavatar.Config(
+        pose_on="neck" if config.torso else "camera",
+        condition="face_and_pose" if config.pose_condition else "face",
+        color_unit=config.color_unit,
+        latent=config.latent,
+        network_rate=config.network_rate,
+        sh_degree=config.sh_degree,
+        sh_iterations=config.sh_iterations,
+        density_start=config.density_start,
+        density_ramp=True,
+        first_colors="frames",
+        perceptual_weight=config.perceptual_weight,
+        perceptual_mode="crops",
+        crop_side=config.crop_side,
+        crop_probability=config.crop_probability,
+    )
+
+
+def regions_l1(
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], boxes: Sequence[Box]
+) -> Float[Tensor, ""]:
+    """Absolute difference summed over boxes (left, top, right, bottom, px), per pixel of the whole image."""
+    height, width = image.shape[:2]
+    total = image.new_zeros(())
+    for left, top, right, bottom in boxes:
+        rows = slice(max(int(top), 0), min(int(bottom) + 1, height))
+        columns = slice(max(int(left), 0), min(int(right) + 1, width))
+        total = total + (image[rows, columns] - target[rows, columns]).abs().sum()
+    return total / (height * width * 3)
