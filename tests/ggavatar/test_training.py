@@ -153,7 +153,7 @@ def mean_psnr(avatar: Any, trainer: Trainer) -> float:
 
 @pytest.mark.parametrize("name", sorted(registry.names()))
 def test_every_method_learns_and_reopens(name: str, toy_capture: Capture, tmp_path: Path) -> None:
-    """Test PSNR rises by decibels; reopened, the avatar draws the same to the last bit, also for a drive no frame had."""
+    """Test PSNR rises by decibels; reopened, it draws the same to the last bit, also for a drive no frame had."""
     settings = [text for text in SETTINGS if text.split("=")[0] in registry.load(name).config().__dataclass_fields__]
     trainer = start(toy_capture, tmp_path / "run", method=name, set=settings)
     before = mean_psnr(trainer.avatar.eval(), trainer)

@@ -1,0 +1,60 @@
+"""What a training says: plain lines, a journal that survives a crash, and times that people can read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ggavatar import progress
+from ggavatar.progress import Journal, Line, clock, peak_memory_mib, read_journal
+
+
+def test_journal_forgets_what_lies_beyond_the_checkpoint_and_torn_lines(tmp_path: Path) -> None:
+    path = tmp_path / "metrics" / "train.jsonl"
+    journal = Journal(path, 0)
+    for step in (1, 2, 3):
+        journal.write({"step": step, "loss": step / 3})
+    journal.close()
+    with path.open("a") as stream:
+        stream.write('{"step": 4, "lo')
+    again = Journal(path, 2)
+    again.write({"step": 3, "loss": 9.0})
+    again.close()
+    assert read_journal(path) == [{"step": 1, "loss": 1 / 3}, {"step": 2, "loss": 2 / 3}, {"step": 3, "loss": 9.0}]
+
+
+def test_missing_journal_is_empty(tmp_path: Path) -> None:
+    assert read_journal(tmp_path / "none.jsonl") == []
+
+
+def test_plain_lines_come_at_intervals_and_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    line = Line(0, 100)
+    for step in range(1, 101):
+        now[0] += 1.0
+        if step == 50:
+            line.evaluated(step, 27.125)
+        line.step(step, 0.5, 1234)
+    line.close()
+    shown = capsys.readouterr().out.splitlines()
+    assert len(shown) == 10
+    assert shown[0].startswith("step 10/100 · 1.0 it/s · ETA 1:30 · loss 0.5000 · 1234 Gaussians")
+    assert shown[-1].startswith("step 100/100") and "test 27.12 dB" in shown[-1] and "MiB" in shown[-1]
+
+
+def test_clock() -> None:
+    assert [clock(seconds) for seconds in (0.0, 59.6, 61.0, 3600.0, 7325.0)] == [
+        "0:00",
+        "1:00",
+        "1:01",
+        "1:00:00",
+        "2:02:05",
+    ]
+
+
+def test_memory_is_measured() -> None:
+    assert peak_memory_mib() > 20
