@@ -87,12 +87,12 @@ def square(center: tuple[float, float], side: float, width: int, height: int, si
 def square_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size: int) -> Crop:
     """One square for all frames around head boxes (left, top, right, bottom; px), with room for hair and shoulders.
 
-    The head stays complete in 98 % of the frames; the side is 2.2 times the usual head, so that the shoulders' upper
+    The head stays complete in 98 % of the frames; the side is twice the usual head, so that the shoulders' upper
     part is in it.
     """
     low, high = np.percentile(boxes[:, :2], 1, axis=0), np.percentile(boxes[:, 2:], 99, axis=0)
     head = float(np.median(boxes[:, 3] - boxes[:, 1]))
-    side = max(2.2 * head, 1.15 * float(max(high - low)))
+    side = max(2.0 * head, 1.15 * float(max(high - low)))
     center = (low + high) / 2
     # Hair above needs less room than shoulders below.
     return square((float(center[0]), float(center[1] + 0.12 * head)), side, width, height, size)
