@@ -86,6 +86,14 @@ def posed_by_camera(record: ForeignTracking, head: HeadModel) -> ForeignTracking
     )
 
 
+def _root_joints(record: ForeignTracking, head: HeadModel) -> Float[np.ndarray, "T 3"]:
+    """Joint 0 of the shaped head in every frame, m."""
+    weights = head.joint_regressor[0].numpy().astype(np.float64)
+    basis = np.einsum("v,vce->ec", weights, head.expression_basis.numpy().astype(np.float64))
+    used = record.expression[:, : len(basis)]
+    return weights @ head.template.numpy().astype(np.float64) + used @ basis[: used.shape[1]]
+
+
 def posed_by_flame(record: ForeignTracking, head: HeadModel) -> ForeignTracking:
     """The record with a still camera 1 m in front of the head and all motion in FLAME's root.
 
