@@ -153,7 +153,10 @@ def fit_clip(
     exact = clip.observations(np.maximum(rigidity(face), 0.3), OWN_ERROR * found.width)
     shape = fit_shape(generic, found.neutral)
     fit = _learn(clip, exact, found.camera, generic, found.neutral, shape, own)
-    return dataclasses.replace(_polish(fit, clip, exact), focal_spread=found.focal_spread)
+    fit = _polish(fit, clip, exact)
+    shape = fit_shape(generic, fit.model.neutral)
+    shape.joints[JOINT_NAMES.index("jaw")] = fit.model.jaw_pivot
+    return dataclasses.replace(fit, shape=shape, focal_spread=found.focal_spread)
 
 
 def _start(clip: Clip, face: CanonicalFace, trust: np.ndarray, focal: float | None) -> tuple[Poses, Lens]:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-STIFFNESS = 0.1
+STIFFNESS = 0.05
 """Weight of the squared Laplacian against the squared misses of landmarks."""
 
 

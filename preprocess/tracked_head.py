@@ -18,7 +18,7 @@ from preprocess.generic_head import JOINT_NAMES, PARENTS, GenericHead
 from preprocess.surface_extension import SurfaceExtension
 
 VERSION = "tracked-1"
-LID_GAP = 0.0014
+LID_GAP = 0.0022
 """Thickness of a lid: how far its margin lies outside the eyeball, m."""
 EYEBALL_RADIUS = 0.0120
 CLOSING_HEIGHT = 0.25
