@@ -124,4 +124,4 @@ def _crop_for_tracking(record: ForeignTracking, width: int, height: int, size: i
     return square_around(boxes, width, height, size)
 
 
-STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",))
+STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",), version=2)

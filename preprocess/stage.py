@@ -58,6 +58,7 @@ class Stage:
         inputs: What, beside the stages before, decides the outcome; plain JSON values.
         run: Does the work and returns its result, plain JSON values.
         outputs: What it writes into the capture folder, removed before it runs anew.
+        version: Raised whenever the same inputs would give another outcome than before.
     """
 
     name: str
@@ -65,11 +66,12 @@ class Stage:
     inputs: Callable[[PrepOptions], Mapping[str, Any]]
     run: Callable[[Job], Mapping[str, Any]]
     outputs: tuple[str, ...] = ()
+    version: int = 1
 
 
 def fingerprint(stage: Stage, options: PrepOptions, before: str) -> str:
     """SHA-256 of everything that decides a stage's outcome, the stages before included."""
-    text = json.dumps([stage.name, before, stage.inputs(options)], sort_keys=True, default=str)
+    text = json.dumps([stage.name, stage.version, before, stage.inputs(options)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
