@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,6 +86,18 @@ def moving_record(count: int = 24, size: tuple[int, int] = (96, 96), expressions
         translation=np.zeros((count, 3)),
         shape=np.zeros(3),
     )
+
+
+def weak_perspective(count: int) -> ForeignTracking:
+    """A record such as DECA's codes can hold."""
+    record = moving_record(count, (224, 224))
+    poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (count, 1, 1))
+    poses[:, :3, 3] = [[0.01 * row, -0.02, 5000 / (112 * (8 + row))] for row in range(count)]
+    intrinsics = np.tile(np.array([[5000.0, 0, 112], [0, 5000, 112], [0, 0, 1]]), (count, 1, 1))
+    joints = record.joint_rotations.copy()
+    joints[:, 0] = [0.1, 0.2, 0.0]
+    joints[:, 3:] = 0
+    return dataclasses.replace(record, world_to_camera=poses, intrinsics=intrinsics, joint_rotations=joints)
 
 
 def as_tracking(record: ForeignTracking) -> Tracking:

@@ -13,7 +13,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from made_up_subject import moving_record, write_video
+from made_up_subject import moving_record, weak_perspective, write_video
 
 from ggavatar.arrays import read_npz
 from ggavatar.capture_checks import read_json
@@ -116,7 +116,7 @@ def test_videos(tmp_path, container):
 @pytest.mark.parametrize("name", importer_names())
 def test_importers(tmp_path, name):
     """Every text and binary file of every format in turn; values as well as bytes."""
-    record = moving_record(3)
+    record = weak_perspective(3) if name == "deca" else moving_record(3)
     record.joint_rotations[:, :2] = 0
     target = tmp_path / ("tracking.npz" if name == "npz" else name)
     importer(name).write(target, record)

@@ -8,11 +8,11 @@ import json
 import numpy as np
 import pytest
 import torch
-from made_up_subject import as_tracking, ball_head, moving_record
+from made_up_subject import as_tracking, ball_head, moving_record, weak_perspective
 
 from ggavatar.errors import InputError
 from ggavatar.pictures import write_png
-from preprocess.importers import imavatar, metrical_tracker, nerface, nerfblendshape, vhap
+from preprocess.importers import deca, imavatar, metrical_tracker, nerface, nerfblendshape, vhap
 from preprocess.importing import detect_format, importer, importer_names
 from preprocess.options import PrepOptions
 from preprocess.posing import posed_vertices, project
@@ -46,7 +46,46 @@ def posed_by_flame(record):
 
 
 def test_every_format_is_tested():
-    assert sorted(FLAME_FORMATS + OWN_SPACE) == importer_names()
+    assert sorted([*FLAME_FORMATS, *OWN_SPACE, "deca"]) == importer_names()
+
+
+def test_deca_codes(tmp_path):
+    """Reference: its own projection, s (X + tx) and −s (Y + ty) in halves of the 224 px crop.
+
+    The lens stands for infinity.
+    """
+    record = weak_perspective(4)
+    deca.write(tmp_path / "codes", record)
+    assert detect_format(tmp_path / "codes") == "deca"
+    found = deca.read(tmp_path / "codes")
+    np.testing.assert_allclose(found.expression, record.expression)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3)) * [1, 1, 0]
+    for row in range(4):
+        np.testing.assert_allclose(pixels(found, row, ball_head()), pixels(record, row, ball_head()), atol=1e-3)
+        scale, x, y = np.load(tmp_path / "codes" / f"{row:05d}.npz")["cam"]
+        expected = 112 * (1 + scale * (points[:, :2] + [x, y]) * [1, -1])
+        seen, _ = project(points, found.intrinsics[row], found.world_to_camera[row])
+        np.testing.assert_allclose(seen, expected, atol=1e-6)
+
+
+def test_emoca_folders(tmp_path):
+    for number in range(3):
+        place = tmp_path / f"frame_{number:04d}"
+        place.mkdir()
+        for name, value in (
+            ("shape", np.zeros(100)),
+            ("exp", np.ones(50)),
+            ("pose", np.zeros(6)),
+            ("cam", np.array([8.0, 0, 0])),
+        ):
+            np.save(place / f"{name}.npy", value.astype(np.float32))
+    found = deca.read(tmp_path)
+    assert (
+        detect_format(tmp_path) == "deca" and found.expression.shape == (3, 50) and found.numbers.tolist() == [0, 1, 2]
+    )
+    np.save(tmp_path / "frame_0001" / "exp.npy", np.array([{}], dtype=object))
+    with pytest.raises(InputError, match=r"frame_0001/exp\.npy"):
+        deca.read(tmp_path)
 
 
 @pytest.mark.parametrize("size", [(96, 96), (128, 96)])
