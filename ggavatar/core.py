@@ -1,6 +1,7 @@
 """The values that travel through GGAvatar, and the two protocols a backend and a method fulfil. No disk, no device.
 
-Units and axes (docs/conventions.md): metres, radians, pixels with centres at +0.5, OpenCV cameras, quaternions wxyz, sRGB in [0, 1].
+Units and axes (docs/conventions.md): metres, radians, pixels with centres at +0.5, OpenCV cameras, quaternions wxyz,
+sRGB in [0, 1].
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Camera:
     height: int
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image resampled to `width` × `height` px (edges aligned, so pixel centres stay at +0.5)."""
+        """The same camera for an image resampled to `width` × `height` px, edges aligned."""
         factors = self.intrinsics.new_tensor([[width / self.width], [height / self.height], [1.0]])
         return Camera(self.intrinsics * factors, self.world_to_camera, width, height)
 
@@ -42,11 +43,12 @@ class Drive:
 
     Attributes:
         expression: Expression coefficients of the head model, unit of its basis.
-        joint_rotations: Axis-angle of every joint in the head's order (FLAME: root, neck, jaw, left eye, right eye), rad.
+        joint_rotations: Axis-angle of every joint in the head's order (FLAME: root, neck, jaw, left eye, right eye),
+            rad.
         eyelids: Closing of the left and the right lid; 0 is open as in the template, 1 is closed.
         translation: Of the whole head after posing, m.
-        head_to_camera: Rigid pose of the head seen from the camera. With a tracker that puts the head pose into the camera this is
-            `world_to_camera`; methods that need the pose as a condition read it here.
+        head_to_camera: Rigid pose of the head seen from the camera. With a tracker that puts the head pose into the
+            camera this is `world_to_camera`; methods that need the pose as a condition read it here.
         frame: Source frame number, or None for a drive that no frame was trained on.
     """
 
@@ -84,7 +86,8 @@ class Gaussians:
         quats: Rotations, wxyz; need not be normalised.
         scales: Standard deviations along the local axes, m, positive.
         opacities: In [0, 1].
-        colors: Either RGB [N, 3], or spherical harmonics [N, K, 3] with K = 1, 4, 9 or 16, where colour = max(0, SH(direction) + 0.5).
+        colors: Either RGB [N, 3], or spherical harmonics [N, K, 3] with K = 1, 4, 9 or 16, where colour = max(0,
+            SH(direction) + 0.5).
         sh_degree: Highest degree to evaluate (0 to 3); None means all that `colors` holds. Ignored for RGB.
     """
 
@@ -104,7 +107,8 @@ class Rendering:
         image: Composited on the background; may exceed 1 where colours do.
         alpha: 1 − final transmittance.
         depth: Alpha-weighted sum of camera z, m (divide by alpha for the expected depth).
-        means2d: Projected centres, px. After `backward()` its `.grad` holds ∂loss/∂means2d in px (zero for culled Gaussians).
+        means2d: Projected centres, px. After `backward()` its `.grad` holds ∂loss/∂means2d in px (zero for culled
+            Gaussians).
         radii: Half of the larger side of the box in which alpha ≥ 1/255, px; 0 for culled Gaussians.
     """
 

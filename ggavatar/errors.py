@@ -11,7 +11,7 @@ EXIT_FAILURE, EXIT_USAGE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 3
 
 
 class InputError(ValueError):
-    """Something the user gave is not usable. The message says what was expected, what was found, where, and what to do next."""
+    """Something the user gave is not usable; says what was expected, what was found, where, and what to do next."""
 
 
 class GateError(Exception):
@@ -19,7 +19,7 @@ class GateError(Exception):
 
 
 def run_command(main: Callable[[], int | None]) -> int:
-    """Run the body of a command and return its exit code; foreseeable failures become one message on stderr, never a traceback."""
+    """Run the body of a command and return its exit code; foreseeable failures become one message on stderr."""
     try:
         return main() or 0
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Rotations, rigid transforms and triangle frames as pure functions. Quaternions are wxyz; matrices act on column vectors."""
+"""Rotations, rigid transforms and triangle frames as pure functions; quaternions wxyz, matrices act on columns."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ class TriangleFrames(NamedTuple):
 def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
     """Centroid, orientation and size of every triangle.
 
-    The columns of the rotation are n0 = unit(a10), n1 = unit normal and n2 = n0 × n1. The size is (|a10| + |n2·a20|) / 2: an edge and the
-    height over it. The paper prints |a20| for the edge; docs/paper.md (A1) says why |a10| is used.
+    The columns of the rotation are n0 = unit(a10), n1 = unit normal and n2 = n0 × n1. The size is (|a10| + |n2·a20|) /
+    2: an edge and the height over it. The paper prints |a20| for the edge; docs/paper.md (A1) says why |a10| is used.
 
     Args:
         vertices: Positions, m.
         faces: Vertex indices, counter-clockwise seen from outside.
 
     Returns:
-        Centres in m, rotations with determinant 1 and sizes in m. A triangle without area gets a valid rotation and its edge's half length.
+        Centres in m, rotations with determinant 1 and sizes in m. A triangle without area gets a valid rotation and
+        its edge's half length.
 
     References:
         GGAvatar (Li et al. 2024), Eq. 4–5; GaussianAvatars (Qian et al. 2024), Sec. 3.2.
@@ -84,7 +85,7 @@ def matrix_to_axis_angle(matrices: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B
 
 
 def matrix_to_quaternion(matrices: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B 4"]:
-    """Unit quaternions wxyz of rotation matrices; the branch with the largest component is used, so the sign is not continuous."""
+    """Unit quaternions wxyz of rotation matrices, from the largest component, so that the sign is not continuous."""
     m = matrices
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     squares = torch.stack((1 + m00 + m11 + m22, 1 + m00 - m11 - m22, 1 - m00 + m11 - m22, 1 - m00 - m11 + m22), dim=-1)
@@ -121,12 +122,18 @@ def quaternion_multiply(left: Float[Tensor, "*B 4"], right: Float[Tensor, "*B 4"
     a, b, c, d = left.unbind(-1)
     e, f, g, h = right.unbind(-1)
     return torch.stack(
-        (a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g, a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e), dim=-1
+        (
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g - b * h + c * e + d * f,
+            a * h + b * g - c * f + d * e,
+        ),
+        dim=-1,
     )
 
 
 def rotation_6d_to_matrix(rows: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 3 3"]:
-    """Rotation matrices from their first two rows, flattened (the PyTorch3D order of metrical-tracker); identity is 1, 0, 0, 0, 1, 0."""
+    """Rotation matrices from their first two rows, flattened (PyTorch3D); identity is 1, 0, 0, 0, 1, 0."""
     first = normalize(rows[..., :3], dim=-1)
     second = normalize(rows[..., 3:] - (first * rows[..., 3:]).sum(-1, keepdim=True) * first, dim=-1)
     return torch.stack((first, second, torch.linalg.cross(first, second)), dim=-2)
@@ -138,7 +145,7 @@ def matrix_to_rotation_6d(matrices: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*
 
 
 def look_at(eye: Float[Tensor, "3"], target: Float[Tensor, "3"], up: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:
-    """World-to-camera transform (OpenCV axes) of a camera at `eye` that looks at `target`, with `up` upward in the image."""
+    """World-to-camera transform (OpenCV axes) of a camera at `eye` looking at `target`, `up` upward in the image."""
     forward = normalize(target - eye, dim=-1)
     right = normalize(torch.linalg.cross(forward, up), dim=-1)
     rotation = torch.stack((right, torch.linalg.cross(forward, right), forward))
@@ -158,7 +165,9 @@ def invert_rigid(transform: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
     return rigid(rotation, -rotation @ transform[:3, 3])
 
 
-def project(points: Float[Tensor, "N 3"], intrinsics: Float[Tensor, "3 3"], world_to_camera: Float[Tensor, "4 4"]) -> Float[Tensor, "N 2"]:
+def project(
+    points: Float[Tensor, "N 3"], intrinsics: Float[Tensor, "3 3"], world_to_camera: Float[Tensor, "4 4"]
+) -> Float[Tensor, "N 2"]:
     """Pixel positions of world points (no clipping; points behind the camera give mirrored positions)."""
     seen = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     image = seen @ intrinsics.T

@@ -76,7 +76,11 @@ def test_nothing_that_runs_code_or_wires_a_device(path: Path) -> None:
             assert "pickle.load" not in called and "yaml" not in called, f"{name}:{node.lineno}"
             for keyword in node.keywords:
                 constant = keyword.value.value if isinstance(keyword.value, ast.Constant) else None
-                assert (keyword.arg, constant) not in {("shell", True), ("allow_pickle", True), ("weights_only", False)}, f"{name}:{node.lineno}"
+                assert (keyword.arg, constant) not in {
+                    ("shell", True),
+                    ("allow_pickle", True),
+                    ("weights_only", False),
+                }, f"{name}:{node.lineno}"
         if isinstance(node, ast.ExceptHandler):
             assert node.type is not None, f"{name}:{node.lineno} bare except"
         if isinstance(node, (ast.Import, ast.ImportFrom)) and name != UNPICKLER:
@@ -86,10 +90,14 @@ def test_nothing_that_runs_code_or_wires_a_device(path: Path) -> None:
 
 @pytest.mark.parametrize("path", SOURCES, ids=NAMES)
 def test_room_names_say_what_is_inside(path: Path) -> None:
-    assert not {"utils", "util", "misc", "helpers", "helper", "manager", "common"} & set(path.relative_to(ROOT).with_suffix("").parts)
+    assert not {"utils", "util", "misc", "helpers", "helper", "manager", "common"} & set(
+        path.relative_to(ROOT).with_suffix("").parts
+    )
 
 
-@pytest.mark.parametrize("module", ["preprocess.cli", "preprocess.doctor_cli", "preprocess.subject.cli", "evaluate.cli", "ggavatar.capture"])
+@pytest.mark.parametrize(
+    "module", ["preprocess.cli", "preprocess.doctor_cli", "preprocess.subject.cli", "evaluate.cli", "ggavatar.capture"]
+)
 def test_starts_without_torch(module: str) -> None:
     code = f"import sys, {module}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
@@ -109,11 +117,16 @@ def test_our_evaluate_is_the_one_imported() -> None:
     assert "evaluate" not in {name.lower() for name in importlib.metadata.packages_distributions().get("evaluate", [])}
 
 
-@pytest.mark.parametrize("command", ["ggavatar-demo", "ggavatar-prep", "ggavatar-doctor", "ggavatar-train", "ggavatar-render", "ggavatar-eval"])
+@pytest.mark.parametrize(
+    "command",
+    ["ggavatar-demo", "ggavatar-prep", "ggavatar-doctor", "ggavatar-train", "ggavatar-render", "ggavatar-eval"],
+)
 def test_commands_help_and_refuse_unknown_flags(command: str) -> None:
     entry = {point.name: point for point in importlib.metadata.entry_points(group="console_scripts")}[command]
     start = f"import sys; sys.argv[0] = {command!r}; from {entry.module} import {entry.attr} as main; sys.exit(main())"
     shown = subprocess.run([sys.executable, "-c", start, "--help"], capture_output=True, text=True, check=False)
     assert shown.returncode == 0 and command in shown.stdout
-    refused = subprocess.run([sys.executable, "-c", start, "--no-such-flag"], capture_output=True, text=True, check=False)
+    refused = subprocess.run(
+        [sys.executable, "-c", start, "--no-such-flag"], capture_output=True, text=True, check=False
+    )
     assert refused.returncode == 2 and "Traceback" not in refused.stderr and refused.stderr.strip()

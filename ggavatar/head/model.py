@@ -28,7 +28,8 @@ class HeadModel:
         skinning_weights: Rows sum to 1.
         parents: Parent of every joint; −1 for the root, and a parent precedes its children.
         joint_names: FLAME: root, neck, jaw, left_eye, right_eye. Further joints MAY follow.
-        version: Tag of the parameter space ("flame2020", "flame2023", "procedural-1", …); coefficients of different tags never mix.
+        version: Tag of the parameter space ("flame2020", "flame2023", "procedural-1", …); coefficients of different
+            tags never mix.
         regions: Named vertex sets, e.g. face, lips, mouth, eyes, scalp, ears, neck, shoulders; they may overlap.
         uv: Texture coordinates of every corner of every face in [0, 1]; v upward.
     """
@@ -52,7 +53,11 @@ class HeadModel:
         def moved(value: Tensor) -> Tensor:
             return value.to(device, dtype if value.is_floating_point() else None)
 
-        changes: dict = {f.name: moved(getattr(self, f.name)) for f in dataclasses.fields(self) if isinstance(getattr(self, f.name), Tensor)}
+        changes: dict = {
+            f.name: moved(getattr(self, f.name))
+            for f in dataclasses.fields(self)
+            if isinstance(getattr(self, f.name), Tensor)
+        }
         changes["regions"] = {name: moved(rows) for name, rows in self.regions.items()}
         return dataclasses.replace(self, **changes)
 
@@ -80,8 +85,9 @@ class HeadModel:
     def vertices(self, drive: Drive) -> Float[Tensor, "V 3"]:
         """Vertices of the posed head, m; differentiable in every field of `drive` and in every array of the head.
 
-        Order (FLAME; Li et al. 2017, Eq. 1–4): shape with expression → joints → pose correctives → skinning → lids → translation. Lids are
-        turned with the neck, so that they stay rigid with the head; with an unturned neck this is metrical-tracker's addition after skinning.
+        Order (FLAME; Li et al. 2017, Eq. 1–4): shape with expression → joints → pose correctives → skinning → lids →
+        translation. Lids are turned with the neck, so that they stay rigid with the head; with an unturned neck this
+        is metrical-tracker's addition after skinning.
         """
         shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
         joints = self.joint_regressor @ shaped
@@ -99,7 +105,7 @@ class HeadModel:
         return posed + lids @ carrier.T + drive.translation
 
     def _joint_transforms(self, rotations: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
-        """World rotation [J, 3, 3] and offset [J, 3] of every joint, such that x ↦ R x + o moves a vertex bound to it."""
+        """World rotation [J, 3, 3] and offset [J, 3] of every joint: x ↦ R x + o moves a vertex bound to it."""
         linear: list[Tensor] = []
         position: list[Tensor] = []
         for index, parent in enumerate(self.parents):
@@ -115,7 +121,8 @@ class HeadModel:
     def condition(self, drive: Drive) -> Float[Tensor, " C"]:
         """ψ and θ as one vector: expression, every joint beyond root and neck as 6D rotation, lids.
 
-        FLAME with 100 expressions gives the 120 numbers of metrical-tracker and FlashAvatar (docs/paper.md, A12); rigid pose is not in it.
+        FLAME with 100 expressions gives the 120 numbers of metrical-tracker and FlashAvatar (docs/paper.md, A12);
+        rigid pose is not in it.
         """
         skipped = {"root", "neck"}
         moving = [index for index, name in enumerate(self.joint_names) if name not in skipped]
