@@ -5,6 +5,7 @@ Nothing heavy is imported before the arguments are understood.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -54,9 +55,12 @@ def _prepare(options: PrepOptions) -> int:
     from preprocess.pipeline import run_pipeline
     from preprocess.terminal import Terminal
 
-    terminal = Terminal(options.verbosity)
+    terminal = Terminal(options.quiet or options.json)
     results = run_pipeline(options, terminal.stage)
     terminal.summary(options, results)
+    if options.json:
+        shown = {"capture": str(options.output_dir), **results["pack"], "doctor": results["doctor"]}
+        sys.stdout.write(json.dumps(shown) + "\n")
     if options.strict and not results["doctor"]["healthy"]:
         raise GateError(f"{options.output_dir}: the doctor found a fault (--strict)")
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -33,13 +33,13 @@ class PrepOptions:
     output_dir: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The capture folder to write."""
 
-    tracking: Path | None = None
+    tracking: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Folder or file of another tracker's output. Without it the built-in tracker runs."""
 
     format: str = "auto"
-    """Format of `--tracking`: a name that `--help` lists below, or auto."""
+    """Format of `--tracking`: a name that is listed above, or auto."""
 
-    head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"])] = None
+    head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"], metavar="FILE")] = None
     """Head that the tracking's parameters belong to: head.npz, or FLAME's generic_model.pkl, flame2023.pkl or npz."""
 
     masks: str = "auto"
@@ -75,7 +75,7 @@ class PrepOptions:
     fix: tuple[str, ...] = ()
     """Undo mistakes in the conventions of `--tracking`, by the names ggavatar-doctor gives them."""
 
-    models: Path | None = None
+    models: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder with model files, looked into first."""
 
     offline: bool = False
@@ -92,5 +92,8 @@ class PrepOptions:
 
     tracker: TrackingOptions = field(default_factory=TrackingOptions)
 
-    verbosity: Annotated[Literal["quiet", "normal", "verbose"], tyro.conf.arg(name="log")] = "normal"
-    """How much to say on the terminal."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """Say nothing but warnings and errors."""
+
+    json: bool = False
+    """Print a machine-readable summary as the last line."""

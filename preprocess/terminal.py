@@ -18,8 +18,8 @@ from preprocess.stage import Stage
 class Terminal:
     """Progress and warnings go to stderr, the summary to stdout."""
 
-    def __init__(self, verbosity: str) -> None:
-        self._quiet = verbosity == "quiet"
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet
         self._errors = Console(stderr=True, highlight=False, soft_wrap=True)
         self._output = Console(highlight=False, soft_wrap=True)
         self._warnings: list[str] = []
@@ -42,7 +42,8 @@ class Terminal:
         """What was written, what was lost on the way, and the next command."""
         for warning in self._warnings:
             self._errors.print(f"warning: {warning}", markup=False)
-        for line in spoken(results["doctor"]):
+        lines = spoken(results["doctor"])
+        for line in lines if not self._quiet else [line for line in lines if line.startswith("fault")]:
             self._errors.print(line, markup=False)
         if self._quiet:
             return

@@ -147,7 +147,7 @@ class Clip:
         """The command line that makes a capture of it, without -o."""
         names = ("video.mp4", "tracking", "masks", "head.npz")
         video, tracking, masks, head = (str(self.folder / name) for name in names)
-        return [video, "--tracking", tracking, "--masks", masks, "--head-model", head, "--size", "96", "--log", "quiet"]
+        return [video, "--tracking", tracking, "--masks", masks, "--head-model", head, "--size", "96"]
 
 
 def make_clip(folder: Path, count: int = 24, size: tuple[int, int] = (96, 96)) -> Clip:

@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
         "--head-model",
         str(demo / "head.npz"),
     ]
-    assert prep([str(demo / "video.mp4"), *inputs, "--size", str(SIZE), "-o", str(place / "c"), "--log", "quiet"]) == 0
+    assert prep([str(demo / "video.mp4"), *inputs, "--size", str(SIZE), "-o", str(place / "c"), "--quiet"]) == 0
     return place / "c"
 
 

@@ -46,6 +46,7 @@ def test_capture_has_the_known_pixels(capture, clip):
 
 def run(clip, folder, *more, **replaced):
     """Exit code of ggavatar-prep on the clip, with some arguments replaced (None leaves one out)."""
+    more = more if replaced.pop("loud", False) else (*more, "--quiet")
     arguments = dict(zip(clip.arguments[1::2], clip.arguments[2::2], strict=True))
     arguments |= {"--" + name.replace("_", "-"): value for name, value in replaced.items() if name != "video"}
     flags = [part for name, value in arguments.items() if value is not None for part in (name, str(value))]
@@ -61,16 +62,16 @@ def said(capsys):
 
 def test_unchanged_stages_are_skipped_and_changed_ones_run(clip, tmp_path, capsys):
     folder = tmp_path / "c"
-    assert run(clip, folder, log="normal") == 0
+    assert run(clip, folder, loud=True) == 0
     assert ": unchanged" not in said(capsys)
     before = (folder / "images" / "000005.png").stat().st_mtime_ns
-    assert run(clip, folder, "--resume", log="normal") == 0
+    assert run(clip, folder, "--resume", loud=True) == 0
     assert said(capsys).count(": unchanged") == 6
-    assert run(clip, folder, "--resume", "--split", "last-5", log="normal") == 0
+    assert run(clip, folder, "--resume", "--split", "last-5", loud=True) == 0
     assert said(capsys).count(": unchanged") == 4
     assert (folder / "images" / "000005.png").stat().st_mtime_ns == before
     assert len(Capture.open(folder).splits["last-5"].test) == 5
-    assert run(clip, folder, "--resume", "--split", "last-5", size=64, log="normal") == 0
+    assert run(clip, folder, "--resume", "--split", "last-5", size=64, loud=True) == 0
     assert said(capsys).count(": unchanged") == 1
     assert Capture.open(folder).width == 64
 
@@ -292,3 +293,11 @@ def test_offline_without_models_names_everything(clip, tmp_path, monkeypatch, ca
     assert run(clip, tmp_path / "c", "--offline", masks=None) == 2
     message = said(capsys)
     assert "selfie_segmentation.tflite" in message and "https://" in message and str(tmp_path / "cache") in message
+
+
+def test_summary_for_machines(clip, tmp_path, capsys):
+    import json
+
+    assert main([*clip.arguments, "-o", str(tmp_path / "c"), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert shown["frames"] == 24 and shown["dropped"] == 0 and shown["doctor"]["schema"] == "ggavatar-doctor"
