@@ -1,0 +1,113 @@
+"""Opening runs: what evaluation relies on, and what happens when something is missing, moved or damaged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from ggavatar.capture import Capture
+from ggavatar.errors import InputError
+from ggavatar.runs import choose_split, open_run, read_config
+from ggavatar.session import train_run
+
+OPTIONS: dict[str, Any] = {"steps": 6, "save_every": 3, "device": "cpu", "set": ["perceptual_weight=0"]}
+
+
+@pytest.fixture(scope="module")
+def finished(toy_capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run beside a copy of its capture."""
+    home = tmp_path_factory.mktemp("home")
+    shutil.copytree(toy_capture.folder, home / "capture")
+    train_run(home / "capture", home / "run", OPTIONS, quiet=True)
+    return home / "run"
+
+
+@pytest.fixture
+def copy(finished: Path, tmp_path: Path) -> Path:
+    """A run and its capture, moved together to another place, and free to be damaged."""
+    shutil.copytree(finished.parent, tmp_path / "moved")
+    return tmp_path / "moved" / "run"
+
+
+def test_run_has_what_evaluation_needs(finished: Path) -> None:
+    run = open_run(finished)
+    assert (run.method, run.step, run.capture.subject) == ("ggavatar", 6, "egg")
+    assert not run.avatar.training and run.background.tolist() == [1.0, 1.0, 1.0]
+    assert run.config.training.steps == 6 and run.provenance["finished"] is True
+    frames = list(run.frames(run.split.test))
+    assert [frame.drive.frame for frame in frames] == list(run.split.test)
+    assert frames[0].image.shape == (48, 48, 3)
+    with torch.no_grad():
+        drawn = run.rasterize(run.avatar.gaussians(frames[0].drive), frames[0].camera, run.background)
+    assert drawn.image.shape == frames[0].image.shape
+
+
+def test_earlier_checkpoint_can_be_opened(finished: Path) -> None:
+    early, late = open_run(finished, step=3), open_run(finished)
+    assert early.step == 3
+    assert not torch.equal(early.avatar.rows["means"], late.avatar.rows["means"])
+    with pytest.raises(InputError, match="complete checkpoints: 6, 3"):
+        open_run(finished, step=4)
+
+
+def test_run_finds_a_capture_that_moved_along(copy: Path) -> None:
+    config = json.loads((copy / "config.json").read_text())
+    config["capture"] = "/nowhere/else"
+    (copy / "config.json").write_text(json.dumps(config))
+    assert open_run(copy).capture.folder.resolve() == (copy.parent / "capture").resolve()
+
+
+def test_lost_capture_is_named_and_can_be_given(copy: Path) -> None:
+    config = json.loads((copy / "config.json").read_text())
+    (copy / "config.json").write_text(json.dumps({**config, "capture": "/nowhere/else"}))
+    (copy.parent / "capture").rename(copy.parent / "elsewhere")
+    with pytest.raises(InputError, match="/nowhere/else"):
+        open_run(copy)
+    assert open_run(copy, capture=copy.parent / "elsewhere").step == 6
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 99}, "version 1"),
+        ({"schema": "other"}, "schema"),
+        ({"colour": 1}, "unknown setting 'colour'"),
+        ({"seed": "many"}, "expected int"),
+        ({"method_config": {"latnet": 3}}, "did you mean latent"),
+        ({"method": "gavatar"}, "did you mean ggavatar"),
+    ],
+)
+def test_damaged_config_is_refused(copy: Path, change: dict[str, Any], message: str) -> None:
+    config = json.loads((copy / "config.json").read_text())
+    (copy / "config.json").write_text(json.dumps({**config, **change}))
+    with pytest.raises(InputError, match=message):
+        open_run(copy)
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "{", "{}"])
+def test_config_that_is_no_object_is_refused(copy: Path, text: str) -> None:
+    (copy / "config.json").write_text(text)
+    with pytest.raises(InputError, match=r"config\.json"):
+        open_run(copy)
+
+
+def test_any_folder_is_not_a_run(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected a run folder"):
+        read_config(tmp_path)
+
+
+def test_missing_split_is_named(copy: Path) -> None:
+    (copy / "split.json").unlink()
+    with pytest.raises(InputError, match=r"split\.json"):
+        open_run(copy)
+
+
+def test_split_by_name_or_by_rule(toy_capture: Capture) -> None:
+    assert choose_split(toy_capture, "every-20th") == ("every-20th", toy_capture.splits["every-20th"])
+    name, split = choose_split(toy_capture, "ratio-0.75")
+    assert name == "ratio-0.75" and split.test == toy_capture.frames[18:]
