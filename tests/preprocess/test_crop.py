@@ -70,7 +70,7 @@ def test_square_around_keeps_heads():
     boxes = np.concatenate((centers - 60, centers + 60), axis=1)
     crop = square_around(boxes, 1080, 1920, 512)
     assert crop.width == crop.height and crop.x < boxes[:, 0].min() and crop.x + crop.width > boxes[:, 2].max()
-    assert crop.y < boxes[:, 1].min() and crop.y + crop.height > boxes[:, 3].max() + 60
+    assert crop.y < boxes[:, 1].min() and crop.y + crop.height > boxes[:, 3].max() + 40
 
 
 @pytest.mark.parametrize(
