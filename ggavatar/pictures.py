@@ -15,8 +15,14 @@ from jaxtyping import UInt8
 from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
 
-MAX_PIXELS = 1 << 26
-"""Largest picture that is decoded (64 megapixels); 8K video has 33."""
+MAX_PIXELS = 34_000_000
+"""Largest picture that is decoded (34 megapixels); 8K video has 33.2."""
+
+LARGEST_RATIO = 1100
+"""No picture unpacks to more times its file size than this (deflate reaches 1032).
+
+A file that claims more is damaged.
+"""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
@@ -51,9 +57,13 @@ def picture_header(path: Path) -> PictureHeader:
         raise InputError(f"{path}: expected a PNG or JPEG picture, found something else")
     if header.width < 1 or header.height < 1 or header.width * header.height > MAX_PIXELS:
         raise InputError(
-            f"{path}: a picture of {header.width}×{header.height} px; from 1 px to {MAX_PIXELS >> 20} megapixels "
+            f"{path}: a picture of {header.width}×{header.height} px; from 1 px to {MAX_PIXELS // 1_000_000} "
+            "megapixels "
             "are read"
         )
+    unpacked = header.width * header.height * header.channels * header.bit_depth // 8
+    if unpacked > LARGEST_RATIO * (path.stat().st_size + 100):
+        raise InputError(f"{path}: far too small for {header.width}×{header.height} px; the picture is damaged")
     return header
 
 
@@ -97,7 +107,7 @@ def read_grey(path: Path) -> UInt8[np.ndarray, "H W"]:
 
     header = picture_header(path)
     if header.channels in (2, 4):
-        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+        picture = cv2.imdecode(_contents(path), cv2.IMREAD_UNCHANGED)
         if picture is not None and picture.ndim == 3:
             return _eight_bits(picture[..., -1])
     return _decode(path, color=False)
@@ -108,10 +118,24 @@ def _decode(path: Path, color: bool) -> np.ndarray:
 
     header = picture_header(path)
     flags = (cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_IGNORE_ORIENTATION
-    picture = cv2.imdecode(np.fromfile(path, np.uint8), flags)
+    picture = cv2.imdecode(_contents(path), flags)
     if picture is None or picture.shape[:2] != (header.height, header.width):
         raise InputError(f"{path}: the picture is damaged and cannot be decoded; copy or make the file again")
     return np.ascontiguousarray(picture[..., ::-1]) if color else picture
+
+
+def _contents(path: Path) -> UInt8[np.ndarray, " N"]:
+    """A picture's bytes. A PNG's chunks must lie within it: OpenCV makes room for whatever length one claims."""
+    data = path.read_bytes()
+    place = len(_PNG_SIGNATURE)
+    while data.startswith(_PNG_SIGNATURE) and place < len(data):
+        claimed = int.from_bytes(data[place : place + 4], "big")
+        if data[place + 4 : place + 8] == b"IEND":
+            break
+        place += 12 + claimed
+        if place > len(data):
+            raise InputError(f"{path}: the picture is damaged and cannot be decoded; copy or make the file again")
+    return np.frombuffer(data, np.uint8)
 
 
 def _eight_bits(values: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ from preprocess.crop import Crop, crop_from_json, explicit, square, square_aroun
 
 
 def place_picture(width, height):
-    """Red tells x − 0.5, green y − 0.5, in px."""
+    """Red tells x − 0.5, green y − 0.5, in half px."""
     rows, columns = np.mgrid[:height, :width]
-    return np.stack((columns, rows, 0 * rows), axis=-1).astype(np.uint8)
+    return np.stack((2 * columns, 2 * rows, 0 * rows), axis=-1).astype(np.uint8)
 
 
 crops = st.builds(
@@ -33,7 +33,7 @@ def test_intrinsics_follow_the_pixels(crop):
     picture = crop.image(place_picture(128, 96))
     assert picture.shape == (crop.out_height, crop.out_width, 3)
     inner = np.s_[4:-4, 4:-4]
-    shown = picture[inner] + 0.5
+    shown = picture[inner] / 2 + 0.5
     rows, columns = (axis[inner] + 0.5 for axis in np.mgrid[: crop.out_height, : crop.out_width])
     changed = crop.intrinsics(source)
     rays = np.stack(((columns - changed[0, 2]) / changed[0, 0], (rows - changed[1, 2]) / changed[1, 1]), axis=-1)
