@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,6 +53,13 @@ class ForeignTracking:
         """The tracking of some rows."""
         names = ("numbers", "intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
         return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+
+def stacked(source: object, rows: Sequence[np.ndarray], what: str) -> np.ndarray:
+    """Rows of all frames as one array; `InputError` naming the source if frames have different numbers of them."""
+    if len({row.shape for row in rows}) != 1:
+        raise InputError(f"{source}: frames have different numbers of {what}; track the video in one go")
+    return np.stack(rows)
 
 
 def require_finite(source: object, record: ForeignTracking) -> ForeignTracking:

@@ -50,7 +50,8 @@ class Video:
             raise InputError(f"{self.path}: its codec is not known here; convert it with ffmpeg to H.264")
         if context.width * context.height > MAX_PIXELS:
             raise InputError(
-                f"{self.path}: {context.width}×{context.height} px; up to {MAX_PIXELS // 1_000_000} megapixels are decoded"
+                f"{self.path}: {context.width}×{context.height} px; "
+                f"up to {MAX_PIXELS // 1_000_000} megapixels are decoded"
             )
         return streams[0]
 

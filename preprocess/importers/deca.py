@@ -15,7 +15,7 @@ import numpy as np
 from ggavatar.arrays import read_npz, write_npz
 from ggavatar.errors import InputError
 from preprocess.foreign_json import camera_matrix, last_number
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.record import ForeignTracking, require_finite, stacked
 
 TITLE = "DECA / EMOCA / SMIRK codes: NAME.npz or NAME/{shape,exp,pose,cam}.npy"
 SIDE = 224
@@ -56,20 +56,14 @@ def read(folder: Path) -> ForeignTracking:
         height=SIDE,
         intrinsics=np.tile(camera_matrix(FOCAL, FOCAL, SIDE / 2, SIDE / 2), (len(codes), 1, 1)),
         world_to_camera=np.stack([code["pose"] for code in codes]),
-        expression=_stacked(folder, [code["exp"] for code in codes]),
+        expression=stacked(folder, [code["exp"] for code in codes], "expression coefficients"),
         joint_rotations=np.stack([code["joints"] for code in codes]),
         eyelids=np.stack([code["eyelid"] for code in codes]),
         translation=np.zeros((len(codes), 3)),
-        shape=_stacked(folder, [code["shape"] for code in codes]).mean(axis=0),
+        shape=stacked(folder, [code["shape"] for code in codes], "identity coefficients").mean(axis=0),
         notes=("weak-perspective camera: distance and focal length are made up", "the identity is the clip's mean"),
     )
     return require_finite(folder, record)
-
-
-def _stacked(folder: Path, values: list[np.ndarray]) -> np.ndarray:
-    if len({len(value) for value in values}) != 1:
-        raise InputError(f"{folder}: images have different numbers of coefficients")
-    return np.stack(values)
 
 
 def _values(path: Path) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
 from ggavatar.pictures import picture_header
 from preprocess.foreign_json import array, camera_matrix, frame_list, last_number
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.record import ForeignTracking, require_finite, stacked
 
 TITLE = "IMavatar / PointAvatar / MonoGaussianAvatar: flame_params.json"
 SCALE = 4.0
@@ -49,7 +49,7 @@ def read(folder: Path) -> ForeignTracking:
         height=height,
         intrinsics=np.tile(_intrinsics(path, data.get("intrinsics"), width, height), (len(numbers), 1, 1)),
         world_to_camera=np.stack(poses),
-        expression=np.stack(expressions),
+        expression=stacked(path, expressions, "expression coefficients"),
         joint_rotations=np.stack(joints),
         eyelids=np.zeros((len(numbers), 2)),
         translation=np.zeros((len(numbers), 3)),

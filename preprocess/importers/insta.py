@@ -19,7 +19,7 @@ from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
 from ggavatar.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rotation_6d, rotation_6d_to_matrix
 from preprocess.foreign_json import array, camera_matrix, frame_list, image_size, inside, invert, last_number, number
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.record import ForeignTracking, require_finite, stacked
 
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 
@@ -46,7 +46,7 @@ def read(folder: Path) -> ForeignTracking:
         height=height,
         intrinsics=np.tile(intrinsics, (len(numbers), 1, 1)),
         world_to_camera=np.stack([invert(matrix) for matrix in matrices]),
-        expression=np.stack([values["exp"] for values in coefficients]),
+        expression=stacked(path, [values["exp"] for values in coefficients], "expression coefficients"),
         joint_rotations=np.stack([values["joints"] for values in coefficients]),
         eyelids=np.stack([values["eyelids"] for values in coefficients]),
         translation=np.zeros((len(numbers), 3)),

@@ -17,7 +17,7 @@ import torch
 from ggavatar.errors import InputError
 from ggavatar.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rotation_6d, rotation_6d_to_matrix
 from ggavatar.unpickle import read_pickle
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.record import ForeignTracking, require_finite, stacked
 
 TITLE = "metrical-tracker: folder of %05d.frame"
 _NAME = re.compile(r"^(\d{1,9})\.frame$")
@@ -55,21 +55,21 @@ def read(folder: Path) -> ForeignTracking:
             raise InputError(
                 f"{path}: img_size is {frame['size']}, the first file has {(height, width)}; track the video in one go"
             )
-    shapes = np.stack([frame["shape"] for frame in frames])
+    shapes = stacked(folder, [frame["shape"] for frame in frames], "identity coefficients")
     notes = (
         () if np.allclose(shapes, shapes[0], atol=1e-5) else ("the identity changes between frames; the first is used",)
     )
-    stacked = {name: np.stack([frame[name] for frame in frames]) for name in frames[0] if name != "size"}
+    arrays = {name: stacked(folder, [frame[name] for frame in frames], name) for name in frames[0] if name != "size"}
     record = ForeignTracking(
         numbers=np.array(list(files), dtype=np.int64),
         width=width,
         height=height,
-        intrinsics=stacked["intrinsics"],
-        world_to_camera=stacked["world_to_camera"],
-        expression=stacked["expression"],
-        joint_rotations=stacked["joint_rotations"],
-        eyelids=stacked["eyelids"],
-        translation=stacked["translation"],
+        intrinsics=arrays["intrinsics"],
+        world_to_camera=arrays["world_to_camera"],
+        expression=arrays["expression"],
+        joint_rotations=arrays["joint_rotations"],
+        eyelids=arrays["eyelids"],
+        translation=arrays["translation"],
         shape=shapes[0],
         notes=notes,
     )

@@ -26,7 +26,7 @@ from preprocess.foreign_json import (
     number,
     world_to_camera_gl,
 )  # fmt: skip
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.record import ForeignTracking, require_finite, stacked
 
 TITLE = "VHAP export / GaussianAvatars: transforms.json with flame_param/%05d.npz"
 _KEYS = (
@@ -73,7 +73,7 @@ def read(folder: Path) -> ForeignTracking:
         height=height,
         intrinsics=np.stack([_intrinsics(source, chosen[step]) for step in numbers]),
         world_to_camera=np.stack(poses),
-        expression=np.stack([values["expr"].reshape(-1) for values in parameters]),
+        expression=stacked(folder, [values["expr"].reshape(-1) for values in parameters], "expression coefficients"),
         joint_rotations=np.stack([_joints(values) for values in parameters]),
         eyelids=np.zeros((len(numbers), 2)),
         translation=np.stack([values["translation"].reshape(3) for values in parameters]),
