@@ -22,7 +22,7 @@ demo: $(VENV)/installed
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
 
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -20,6 +20,8 @@ class GateError(Exception):
 
 def run_command(main: Callable[[], int | None]) -> int:
     """Run the body of a command and return its exit code; foreseeable failures become one message on stderr."""
+    # Idle OpenMP threads would spin on the cores our own threads work on; must be said before torch is imported.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     try:
         return main() or 0
     except InputError as error:

@@ -7,6 +7,11 @@ from pathlib import Path
 
 import pytest
 
+# Parallel workers share the cores; idle OpenMP threads must not spin on them. Both are read when torch is imported.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 
 def _folder(variable: str, what: str) -> Path:
     value = os.environ.get(variable)
