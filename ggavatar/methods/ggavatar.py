@@ -83,7 +83,7 @@ class Config:
     density_stop: int = 60_000
     """Density control ends with this iteration, and opacity resets with it (Sec. 3.5; A20)."""
     density_interval: int = 100
-    """Iterations between two rounds (Section 3.5); short trainings keep 20 steps, or 30 rounds, or at least 10 steps."""
+    """Iterations between two rounds (Section 3.5); short trainings keep 20 steps, 30 rounds or at least 10 steps."""
     density_gradient: float = 2e-4
     """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (3DGS)."""
     density_ramp: bool = False
@@ -121,7 +121,7 @@ class Config:
     perceptual_weight: float = 0.02
     """λ2, weight of the VGG loss after the neutral phase (Eq. 16)."""
     perceptual_mode: Literal["image", "crops"] = "image"
-    """VGG loss on the whole image in every step (Section 3.4), or on a crop in some of them at the same expected weight."""
+    """VGG loss on the whole image in every step (Section 3.4), or on crops in some at the same expected weight."""
     crop_side: int = 128
     """Side of a crop, px."""
     crop_probability: float = 0.2
