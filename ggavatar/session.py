@@ -82,9 +82,11 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
     with StopSignals() as stop:
         trainer = make_trainer(output, config, capture, split)
         done = trainer.resume() if resuming else 0
+        if done >= config.training.steps:
+            return done
         provenance = _provenance(config, capture, split)
         write_json(output / "provenance.json", provenance)
-        trainer.listener = Silence() if quiet or done >= config.training.steps else Line(done, config.training.steps)
+        trainer.listener = Silence() if quiet else Line(done, config.training.steps)
         done = trainer.run(done, stop)
         write_json(output / "provenance.json", {**provenance, **_outcome(trainer, done)})
     if stop.received is not None and done < config.training.steps:

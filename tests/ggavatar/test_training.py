@@ -239,9 +239,9 @@ def test_resume_refuses_other_settings(straight: Path, toy_capture: Capture) -> 
 
 def test_resume_of_a_finished_run_changes_nothing(toy_capture: Capture, tmp_path: Path) -> None:
     train_run(toy_capture.folder, tmp_path / "run", {**OPTIONS, "steps": 8}, quiet=True)
-    before = {path: path.read_bytes() for path in (tmp_path / "run" / "checkpoints").iterdir()}
+    before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
     assert train_run(toy_capture.folder, tmp_path / "run", {"resume": True}, quiet=True) == 8
-    assert before == {path: path.read_bytes() for path in (tmp_path / "run" / "checkpoints").iterdir()}
+    assert before == {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
 
 
 def test_disk_full_ends_with_a_message_and_without_half_files(
