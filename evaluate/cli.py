@@ -20,8 +20,8 @@ from evaluate.regression import Check, check_limits, compare, parse_limits, to_g
 from evaluate.render_table_terminal import show
 from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
-from evaluate.weights import model_folders
 from ggavatar.errors import GateError, InputError, run_command
+from ggavatar.model_folders import model_folders
 
 WIDTH = 160
 """Columns of a table that is not printed on a terminal."""

@@ -17,8 +17,9 @@ from evaluate.protocol import GIVEN, Protocol
 from evaluate.region_masks import write_region_masks
 from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
-from evaluate.weights import NO_WEIGHTS, model_folders
+from evaluate.weights import NO_WEIGHTS
 from ggavatar.errors import InputError
+from ggavatar.model_folders import model_folders
 from ggavatar.runs import Run, open_run, read_config
 from ggavatar.splits import split_name
 

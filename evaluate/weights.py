@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,15 +27,6 @@ class LpipsFiles:
 
     backbone: Path
     head: Path
-
-
-def model_folders(given: Path | None = None) -> list[Path]:
-    """Folders to look in: the one given, then $GGAVATAR_MODELS, then the user's cache."""
-    named = [given] if given else []
-    if variable := os.environ.get(VARIABLE):
-        named.append(Path(variable))
-    cache = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return [*named, Path(cache) / "ggavatar" / "models"]
 
 
 def find_lpips(net: str, folders: Sequence[Path]) -> LpipsFiles | str:

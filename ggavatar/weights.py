@@ -6,7 +6,6 @@ Nothing is ever fetched.
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.errors import InputError
+from ggavatar.model_folders import model_folders
 
 
 @dataclass(frozen=True)
@@ -49,40 +49,6 @@ VGG16_TO_RELU2_2 = ModelFile(
     licence="BSD-3-Clause",
     source="features.0, 2, 5 and 7 of VGG16; prefer the whole vgg16-397923af.pth",
 )
-ALEXNET_FEATURES = ModelFile(
-    name="convolutions of AlexNet trained on ImageNet, torchvision's key layout",
-    file="alexnet_features.pth",
-    sha256="f09b8eb824fec9468cafd1cc60237886fdf39e7b11bcdface2c7804c63bf428b",
-    licence="BSD-3-Clause",
-    source="the features.* entries of torchvision's AlexNet",
-)
-SQUEEZENET_FEATURES = ModelFile(
-    name="convolutions of SqueezeNet 1.1 trained on ImageNet, torchvision's key layout",
-    file="squeezenet1_1_features.pth",
-    sha256="e2c7ed7206455f3669cff35a308090764dc5894a7772e9ff3a0a296b7497817f",
-    licence="BSD-3-Clause",
-    source="the features.* entries of torchvision's SqueezeNet 1.1",
-)
-
-
-def _lpips_head(network: str, sha256: str) -> ModelFile:
-    source = f"https://github.com/richzhang/PerceptualSimilarity, lpips/weights/v0.1/{network}.pth"
-    return ModelFile(f"LPIPS v0.1 head, {network}", f"lpips_heads_v0.1/{network}.pth", sha256, "BSD-2-Clause", source)
-
-
-LPIPS_HEADS = {
-    "alex": _lpips_head("alex", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0"),
-    "squeeze": _lpips_head("squeeze", "4a5350f23600cb79923ce65bb07cbf57dca461329894153e05a1346bd531cf76"),
-    "vgg": _lpips_head("vgg", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868"),
-}
-
-
-def model_folders(folder: Path | None = None) -> tuple[Path, ...]:
-    """The folders searched, in order: `folder`, $GGAVATAR_MODELS, the user's cache."""
-    from_environment = os.environ.get("GGAVATAR_MODELS")
-    cache = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    named = [folder] if folder else []
-    return (*named, *([Path(from_environment)] if from_environment else []), Path(cache) / "ggavatar" / "models")
 
 
 def locate(model: ModelFile, folder: Path | None = None) -> Path | None:
