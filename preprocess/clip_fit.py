@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from ggavatar.face.bundle import CanonicalFace
 from preprocess.adjustment import Adjusted, ShapePrior, adjust, prior_focal
 from preprocess.expression_axes import AXES, axis_scores, score
 from preprocess.expression_basis import (
@@ -23,7 +24,6 @@ from preprocess.expression_basis import (
     refine_axes,
     regress,
 )
-from preprocess.face_bundle import CanonicalFace
 from preprocess.face_model import FaceModel, FaceMotion
 from preprocess.face_topology import MESH_POINTS, rigidity
 from preprocess.generic_head import JOINT_NAMES, GenericHead

@@ -13,10 +13,10 @@ from scipy.interpolate import RBFInterpolator
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from ggavatar.face.bundle import CanonicalFace
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural_skin import slit_height
 from preprocess import face_topology as topology
-from preprocess.face_bundle import CanonicalFace
 
 ROUNDS = 4
 # Where the generic head has features whose place a smooth warp from the margins would miss, m: nose tip, subnasale,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from preprocess.face_bundle import CanonicalFace
+from ggavatar.face.bundle import CanonicalFace
 
 MESH_POINTS = 468
 """Landmarks on the skin; those after them lie on the irises."""

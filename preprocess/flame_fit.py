@@ -16,12 +16,12 @@ from scipy.sparse import csr_array
 
 from ggavatar.arrays import read_npz
 from ggavatar.errors import InputError
+from ggavatar.face.bundle import CanonicalFace
 from ggavatar.head.flame import IDENTITY_COEFFICIENTS, load_flame
 from ggavatar.head.model import HeadModel
 from preprocess.clip_fit import JAW_OPENING, OWN_ERROR, Clip, FoundCamera, resting_scores, strided
 from preprocess.expression_axes import score
 from preprocess.expression_basis import LID_SPREAD, Camera, Expectation, fit_motion
-from preprocess.face_bundle import CanonicalFace
 from preprocess.face_embedding import Embedding, closest_points
 from preprocess.face_model import FaceModel, FaceMotion
 from preprocess.face_topology import lids, rigidity

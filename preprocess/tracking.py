@@ -12,15 +12,15 @@ from jaxtyping import Float
 
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
+from ggavatar.face.bundle import CanonicalFace, canonical_face
+from ggavatar.face.landmarks import LandmarkTracker
 from preprocess import models
 from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
 from preprocess.expression_axes import AXES, score
-from preprocess.face_bundle import CanonicalFace, canonical_face
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_tracking import track_flame
 from preprocess.gaze import centered_eyes, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.landmarks import LandmarkTracker
 from preprocess.options import PrepOptions
 from preprocess.rigid import nearest_true
 from preprocess.sequence import TrackedSequence

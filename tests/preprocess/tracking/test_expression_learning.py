@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ggavatar.face.blendshapes import NAMES
 from ggavatar.head.procedural import procedural_names
-from preprocess.blendshapes import NAMES
 from preprocess.expression_axes import AXES, axis_scores, generic_mixture
 from preprocess.expression_basis import (
     Camera,

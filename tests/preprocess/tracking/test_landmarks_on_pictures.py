@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from skimage.data import astronaut
 
-from preprocess.blendshapes import NAMES
-from preprocess.detector import FaceDetector
+from ggavatar.face.blendshapes import NAMES
+from ggavatar.face.detector import FaceDetector
+from ggavatar.face.landmarks import LandmarkTracker
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
-from preprocess.landmarks import LandmarkTracker
 
 RIGHT_EYE, LEFT_EYE = np.array([203.4, 101.2]), np.array([247.0, 103.2])
 """Where the portrait's eyes are, px, read off the picture."""

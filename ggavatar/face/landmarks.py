@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from preprocess.blendshapes import BlendshapeNetwork
-from preprocess.detector import FaceDetector
-from preprocess.face_bundle import load_network
+from ggavatar.face.blendshapes import BlendshapeNetwork
+from ggavatar.face.bundle import load_network
+from ggavatar.face.detector import FaceDetector
 
 INPUT_SIZE = 256
 REGION_MARGIN = 1.5
@@ -30,7 +30,7 @@ class Landmarks:
         points: Image positions, px (pixel centres at +0.5).
         depth: The network's guess of relative depth in px of the image, smaller is nearer; weak-perspective, so a hint
             only.
-        blendshapes: Scores in [0, 1] in the order of `preprocess.blendshapes.NAMES`.
+        blendshapes: Scores in [0, 1] in the order of `ggavatar.face.blendshapes.NAMES`.
         presence: Confidence in [0, 1] that the region shows a face.
     """
 
