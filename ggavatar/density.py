@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -55,14 +56,18 @@ def grow(rows: Rows, chosen: Bool[Tensor, " N"]) -> None:
 
 
 @torch.no_grad()
-def split(rows: Rows, chosen: Bool[Tensor, " N"], generator: torch.Generator) -> None:
+def split(
+    rows: Rows, chosen: Bool[Tensor, " N"], generator: torch.Generator, face_scales: Float[Tensor, " F"] | None = None
+) -> None:
     """Replace every chosen row by two smaller ones, drawn from its own distribution.
 
-    The children's offsets use the standard deviation in the triangle's space, in which means live; GaussianAvatars'
-    code mixes in the world's.
+    The children's offsets use the standard deviation in the triangle's space, in which means live. With `face_scales`
+    (m) they use the world's, as GaussianAvatars' code does by mistake: children then lie too close to their parent.
     """
     parents = {name: values[chosen].repeat_interleave(SPLIT_CHILDREN, 0) for name, values in rows.columns().items()}
     deviation = parents["log_scales"].exp()
+    if face_scales is not None:
+        deviation = deviation * face_scales[parents["face"], None]
     noise = torch.randn(deviation.shape, generator=generator).to(deviation)
     offset = (quaternion_to_matrix(parents["quats"]) @ (deviation * noise)[..., None]).squeeze(-1)
     children = {
@@ -115,6 +120,7 @@ class DensityControl:
         budget: Largest number of rows; those with the largest gradients grow first.
         ramp: Whether the budget opens evenly from the first round to the last, so that coarse images are not drawn with
             rows only fine ones need (as DashGaussian couples the two); otherwise all of it is there from the start.
+        split_in: Space of the standard deviations that spread the children of a split; see `split`.
     """
 
     start: int
@@ -130,6 +136,7 @@ class DensityControl:
     prune_opacity: float = 0.005
     budget: int = 1_000_000
     ramp: bool = False
+    split_in: Literal["local", "world"] = "local"
 
     def is_active(self, step: int) -> bool:
         """Whether statistics are kept at this step."""
@@ -162,7 +169,8 @@ class DensityControl:
         small = _world_sizes(rows, face_scales) <= self.grow_scale * self.extent
         copies = int((growing & small).sum())
         grow(rows, growing & small)
-        split(rows, torch.cat((growing & ~small, growing.new_zeros(copies))), generator)
+        spread = face_scales if self.split_in == "world" else None
+        split(rows, torch.cat((growing & ~small, growing.new_zeros(copies))), generator, spread)
         doomed = rows["opacity_logits"].detach().sigmoid() < self.prune_opacity
         if step > self.reset_interval:
             doomed |= _world_sizes(rows, face_scales) > self.prune_scale * self.extent

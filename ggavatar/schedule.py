@@ -14,9 +14,9 @@ PAPER_STEPS = 120_000
 """Length of the training all constants of the paper refer to (Sec. 3.5)."""
 
 
-def scaled(iteration: int, steps: int) -> int:
-    """An iteration constant of the paper's 120,000 scaled to a training of `steps`."""
-    return round(iteration * steps / PAPER_STEPS)
+def scaled(iteration: int, steps: int, length: int = PAPER_STEPS) -> int:
+    """An iteration constant of a training of `length`, the paper's 120,000 or another's, in a training of `steps`."""
+    return round(iteration * steps / length)
 
 
 def log_linear(step: int, first: float, last: float, steps: int) -> float:

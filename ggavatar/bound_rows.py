@@ -1,0 +1,51 @@
+"""Gaussians bound to triangles, before the first step: one a triangle (GaussianAvatars, Sec. 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ggavatar.density import statistics
+from ggavatar.head.model import HeadModel
+from ggavatar.rows import Column, Rows
+
+
+@dataclass(frozen=True)
+class BoundRates:
+    """Learning rates of the columns."""
+
+    means: float = 5e-3
+    """Of local positions, triangle units."""
+    quats: float = 1e-3
+    """Of local quaternions."""
+    log_scales: float = 5e-3
+    """Of the logarithms of local scales."""
+    opacity_logits: float = 0.05
+    """Of opacity logits."""
+    sh: float = 2.5e-3
+    """Of the constant spherical harmonic; the others learn at a 20th."""
+
+
+def bound_rows(head: HeadModel, rates: BoundRates, sh_degree: int, generator: torch.Generator) -> Rows:
+    """One Gaussian at the centroid of every triangle, as large as it, of opacity 0.1 and grey.
+
+    Args:
+        head: Its triangles; the rows are on its device.
+        rates: Learning rates.
+        sh_degree: Highest degree of the spherical harmonics; above 0 there is a column `sh_rest`.
+        generator: Of the grey's last digits, on the CPU.
+    """
+    count, device = len(head.faces), head.faces.device
+    learnable = {
+        "means": Column(torch.zeros(count, 3), rates.means),
+        "quats": Column(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), rates.quats),
+        "log_scales": Column(torch.zeros(count, 3), rates.log_scales),
+        "opacity_logits": Column(torch.full((count,), 0.1).logit(), rates.opacity_logits),
+        "sh": Column(torch.rand(count, 1, 3, generator=generator) / 255, rates.sh),
+    }
+    if sh_degree:
+        learnable["sh_rest"] = Column(torch.zeros(count, (sh_degree + 1) ** 2 - 1, 3), rates.sh / 20)
+    carried = {"face": torch.arange(count), **statistics(count)}
+    moved = {name: Column(column.values.to(device), column.rate) for name, column in learnable.items()}
+    return Rows(moved, {name: values.to(device) for name, values in carried.items()})

@@ -1,0 +1,77 @@
+"""Corrections of tracked parameters, one set a training frame, learned together with the avatar (GaussianAvatars).
+
+A frame that was never trained on has no correction: test frames and other drives are taken as they were tracked.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from ggavatar.core import Drive
+
+
+@dataclass(frozen=True)
+class CorrectionRates:
+    """Learning rates of what is corrected."""
+
+    expression: float = 1e-3
+    """Of expression coefficients, in their unit (GaussianAvatars)."""
+    joint_rotations: float = 1e-5
+    """Of the axis-angle vectors of all joints, rad (GaussianAvatars)."""
+    translation: float = 1e-6
+    """Of the head's translation, m (GaussianAvatars)."""
+
+
+class DriveCorrections(nn.Module):
+    """What is added to the tracked expression, joint rotations and translation of every training frame.
+
+    Attributes:
+        optimizer: Adam on all frames at once, ε = 1e-15: a frame coasts on its moments between two visits, as in
+            GaussianAvatars.
+
+    References:
+        Qian et al. 2024, Sec. 3.4 and supplement: FLAME's parameters are fine-tuned, shape and offsets are not.
+    """
+
+    def __init__(self, drives: Sequence[Drive], rates: CorrectionRates) -> None:
+        """Corrections of zero for every drive that carries a frame number.
+
+        Raises:
+            ValueError: No drive has a frame number.
+        """
+        super().__init__()
+        numbered = [drive for drive in drives if drive.frame is not None]
+        if not numbered:
+            raise ValueError("expected training drives with frame numbers, found none")
+        self._row = {drive.frame: row for row, drive in enumerate(numbered)}
+        first, count = numbered[0], len(numbered)
+        self.expression = nn.Parameter(first.expression.new_zeros(count, *first.expression.shape))
+        self.joint_rotations = nn.Parameter(first.joint_rotations.new_zeros(count, *first.joint_rotations.shape))
+        self.translation = nn.Parameter(first.translation.new_zeros(count, 3))
+        groups = [{"params": [getattr(self, name)], "lr": rate} for name, rate in dataclasses.asdict(rates).items()]
+        self.optimizer = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15, fused=True)
+
+    def corrects(self, drive: Drive) -> bool:
+        """Whether the drive belongs to a training frame."""
+        return drive.frame in self._row
+
+    def forward(self, drive: Drive) -> Drive:
+        """The corrected drive; the same one if its frame was never trained on."""
+        if not self.corrects(drive):
+            return drive
+        row = self._row[drive.frame]
+        return dataclasses.replace(
+            drive,
+            expression=_plus(drive.expression, self.expression, row),
+            joint_rotations=_plus(drive.joint_rotations, self.joint_rotations, row),
+            translation=_plus(drive.translation, self.translation, row),
+        )
+
+
+def _plus(tracked: Tensor, corrections: nn.Parameter, row: int) -> Tensor:
+    return tracked + corrections[row]
