@@ -37,7 +37,11 @@ class Metric:
 
 _WINDOW = "11x11 Gaussian window of sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1"
 _LUMA = "on 0.299 R + 0.587 G + 0.114 B"
-_LANDMARKS = "the five YuNet landmarks, in distances between the truth's eyes; frames without a face are left out"
+_NO_FACE = "frames without a face in render or truth are left out and counted"
+_LANDMARKS = (
+    "the 478 landmarks of MediaPipe's face landmarker, in distances between the outer corners of the truth's eyes; "
+    f"{_NO_FACE}"
+)
 _SIGNED, _UNIT = "[-1, 1]", "[0, 1] without the shift the weights were made for, as in 3DGS code"
 
 
@@ -102,21 +106,27 @@ _METRICS = (
         "Jitter",
         f"mean |e[t-2] - 2 e[t-1] + e[t]|, e the error of {_LANDMARKS}; source frames t-2 to t all scored",
     ),
+    _error(
+        "expression_distance",
+        "AED",
+        "mean |difference| between render and truth of the 51 expression scores in [0, 1] (the blendshapes without "
+        f"'neutral') of MediaPipe's face landmarker; {_NO_FACE}",
+    ),
     Metric(
         "identity",
         "CSIM",
         True,
         3,
         "1",
-        "cosine of the SFace embeddings of render and truth, each aligned by its own YuNet landmarks; frames without "
-        "a face in either are left out and counted",
+        "cosine of the SFace embeddings of render and truth, each aligned by eyes, nose and corners of the mouth among "
+        f"its own landmarks of MediaPipe's face landmarker; {_NO_FACE}",
         0.01,
     ),
 )
 
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _METRICS})
 TEMPORAL = ("frame_difference", "flicker")
-FACES = ("landmark_distance", "landmark_jitter", "identity")
+FACES = ("landmark_distance", "landmark_jitter", "expression_distance", "identity")
 REGION_METRICS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ssim_3dgs_luma")
 """Metrics that have a masked form, `NAME@REGION`."""
 

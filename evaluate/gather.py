@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from evaluate.catalogue import FACES, TEMPORAL
-from evaluate.faces import Landmarks, jitter
+from evaluate.faces import Points
 from evaluate.protocol import Protocol
 from evaluate.results import Evaluation, Value
-from evaluate.temporal import flicker, frame_difference_error
+from evaluate.temporal import flicker, frame_difference_error, landmark_jitter
 
 Image = UInt8[np.ndarray, "H W 3"]
 
@@ -41,7 +41,7 @@ class Scored:
     foreground: UInt8[np.ndarray, "H W"] | None
     hashes: Mapping[str, str]
     notes: tuple[str, ...] = ()
-    landmark_error: Landmarks | None = None
+    landmark_error: Points | None = None
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Gathering:
         self._files: dict[str, list[str]] = {}
         self._notes: dict[str, int] = {}
         self._last: Scored | None = None
-        self._errors: dict[int, Landmarks | None] = {}
+        self._errors: dict[int, Points | None] = {}
 
     def add(self, scored: Scored) -> None:
         """Take the next frame."""
@@ -110,7 +110,7 @@ class Gathering:
         self._errors[now.frame] = now.landmark_error
         last = [self._errors.get(now.frame - back) for back in (2, 1, 0)]
         self._errors.pop(now.frame - 2, None)
-        return {"landmark_jitter": jitter(last)}
+        return {"landmark_jitter": landmark_jitter(last)}
 
     def evaluation(self, labels: Labels, unavailable: Mapping[str, str], weights: Mapping[str, str]) -> Evaluation:
         """The evaluation of all frames taken.

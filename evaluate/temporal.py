@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -49,17 +51,18 @@ def flicker(
     return float(change[static != 0].sum(dtype=np.int64)) / (3 * 255.0 * count)
 
 
-def landmark_jitter(prediction: Float[np.ndarray, "T L 2"], truth: Float[np.ndarray, "T L 2"]) -> float | None:
-    """Mean length of the second difference of the landmark error over consecutive frames, px.
+def landmark_jitter(errors: Sequence[Float[np.ndarray, "L 2"] | None]) -> float | None:
+    """Mean length over the landmarks of the second difference |e[t−2] − 2 e[t−1] + e[t]| of their error.
 
-    The error e[t] = prediction[t] − truth[t] of a render that is merely offset, or drifts evenly, does not count;
-    |e[t−1] − 2 e[t] + e[t+1]| does. Rows with NaN (nothing detected) are left out, never scored zero.
+    A render that is merely offset, or drifts evenly, does not jitter.
+
+    Args:
+        errors: Render minus truth in three consecutive frames, in any unit; None where no face was found.
 
     Returns:
-        The mean over the complete triples and the landmarks; None without any.
+        The jitter in the unit of the errors; None if one of the three is missing.
     """
-    error = prediction - truth
-    second = error[:-2] - 2 * error[1:-1] + error[2:]
-    lengths = np.linalg.norm(second, axis=2)
-    complete = lengths[np.isfinite(lengths)]
-    return float(complete.mean()) if complete.size else None
+    before, middle, now = errors
+    if before is None or middle is None or now is None:
+        return None
+    return float(np.linalg.norm(before - 2 * middle + now, axis=1).mean())

@@ -1,4 +1,4 @@
-"""Faces: the arithmetic by hand, the detector on a public-domain portrait, the recogniser as a tiny network."""
+"""Faces: the arithmetic by hand, the landmarks on a public-domain portrait, the recogniser as a tiny network."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from picture_pairs import write
 from skimage.data import astronaut
 
 from evaluate.catalogue import FACES
-from evaluate.faces import DETECTORS, RECOGNISERS, FaceMetrics, cosine, jitter, landmark_error
+from evaluate.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
 from evaluate.gather import Labels
 from evaluate.pairing import pair_folders
 from evaluate.protocol import named
 from evaluate.score import score
-from evaluate.temporal import landmark_jitter
 from ggavatar.errors import InputError
+from ggavatar.face.blendshapes import NAMES
+from ggavatar.face.landmarks import LandmarkTracker
 
 
 def message(number: int, content: bytes) -> bytes:
@@ -45,27 +46,68 @@ def mean_color_network(path: Path) -> Path:
 
 @pytest.fixture
 def networks(models_folder: Path, tmp_path: Path) -> Path:
-    """A folder with the real detector and the stand-in for the recogniser."""
+    """A folder with the real face landmarker and the stand-in for the recogniser."""
     folder = tmp_path / "models"
     folder.mkdir()
-    (folder / DETECTORS[1]).symlink_to(models_folder / DETECTORS[1])
-    mean_color_network(folder / RECOGNISERS[0])
+    if not (models_folder / BUNDLE).is_file():
+        pytest.skip(f"{BUNDLE} not found in $GGAVATAR_MODELS")
+    (folder / BUNDLE).symlink_to(models_folder / BUNDLE)
+    mean_color_network(folder / RECOGNISER)
     return folder
 
 
+OUTER_CORNERS = 60.0
+"""Distance between the outer corners of the portrait's eyes, px, read off the picture."""
+
+
 @pytest.mark.weights
-def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance(networks: Path) -> None:
+def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_expression(networks: Path) -> None:
     truth = astronaut()
     faces = FaceMetrics(FACES, [networks])
     assert faces.missing == {}
-    assert len(faces.hashes) == 2
+    assert set(faces.hashes) == {f"faces/{BUNDLE}", f"faces/{RECOGNISER}"}
     same = faces.measure(truth, truth)
-    assert same.values == {"landmark_distance": 0.0, "identity": pytest.approx(1)}
+    assert same.values == {"landmark_distance": 0.0, "expression_distance": 0.0, "identity": pytest.approx(1)}
     moved = faces.measure(np.roll(truth, 32, axis=1), truth)
     assert moved.landmark_error is not None
-    eyes = 42.0
-    assert moved.values["landmark_distance"] == pytest.approx(32 / eyes, rel=0.15)
-    assert moved.landmark_error[:, 0].mean() == pytest.approx(32 / eyes, rel=0.15)
+    assert moved.landmark_error.shape == (478, 2)
+    assert moved.values["landmark_distance"] == pytest.approx(32 / OUTER_CORNERS, rel=0.02)
+    assert moved.landmark_error[:, 0].mean() == pytest.approx(32 / OUTER_CORNERS, rel=0.02)
+    assert moved.values["expression_distance"] < 0.002
+
+
+@pytest.mark.weights
+def test_an_open_mouth_is_another_expression_and_the_order_of_frames_does_not_matter(networks: Path) -> None:
+    truth = astronaut()
+    opened = cv2.ellipse(truth.copy(), (223, 156), (14, 12), 0, 0, 360, (60, 20, 20), -1)
+    faces = FaceMetrics(["expression_distance"], [networks])
+    found = faces.measure(opened, truth).values
+    assert set(found) == {"expression_distance"}
+    finder = LandmarkTracker(networks / BUNDLE)
+    scores = []
+    for picture in (opened, truth):
+        finder.reset()
+        seen = finder.landmarks(picture)
+        assert seen is not None
+        scores.append({name: float(seen.blendshapes[k]) for k, name in enumerate(NAMES) if name != "neutral"})
+    assert scores[0]["mouthLowerDownLeft"] > scores[1]["mouthLowerDownLeft"] + 0.5
+    expected = sum(abs(scores[0][name] - scores[1][name]) for name in scores[0]) / 51
+    assert found["expression_distance"] == pytest.approx(expected, rel=1e-5)
+    assert found["expression_distance"] > 0.03
+    faces.measure(np.roll(truth, 90, axis=1), np.roll(truth, 50, axis=0))
+    assert faces.measure(opened, truth).values == found
+
+
+@pytest.mark.weights
+def test_faces_are_aligned_by_eyes_nose_and_mouth(networks: Path) -> None:
+    found = LandmarkTracker(networks / BUNDLE).landmarks(astronaut())
+    assert found is not None
+    row = alignment_row(found.points)
+    # Read off the picture: the subject's right and left eye, the tip of the nose, the corners of the mouth.
+    expected = [[203, 101], [248, 103], [225, 125], [202, 139], [245, 141]]
+    np.testing.assert_allclose(row[4:14].reshape(5, 2), expected, atol=4)
+    left, top, width, height = row[:4]
+    assert left < 200 and top < 100 and left + width > 245 and top + height > 150
 
 
 @pytest.mark.weights
@@ -96,22 +138,12 @@ def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path
 def test_without_networks_there_are_reasons(tmp_path: Path) -> None:
     faces = FaceMetrics(FACES, [tmp_path])
     assert set(faces.missing) == set(FACES)
-    assert RECOGNISERS[0] in faces.missing["identity"]
+    assert RECOGNISER in faces.missing["identity"]
+    assert BUNDLE in faces.missing["expression_distance"]
     assert faces.measure(astronaut(), astronaut()).values == {}
-    (tmp_path / DETECTORS[0]).write_bytes(b"not a network")
-    with pytest.raises(InputError, match="YuNet"):
+    (tmp_path / BUNDLE).write_bytes(b"not a network")
+    with pytest.raises(InputError, match="face landmarker bundle"):
         FaceMetrics(["landmark_distance"], [tmp_path])
-
-
-def test_jitter_of_single_frames_is_that_of_the_whole_track() -> None:
-    random = np.random.default_rng(0)
-    truth, render = random.normal(size=(2, 9, 5, 2))
-    eyes = np.linalg.norm(truth[:, 0] - truth[:, 1], axis=1)[:, None, None]
-    errors = [landmark_error(one, other) for one, other in zip(render, truth, strict=True)]
-    found = [jitter(errors[k : k + 3]) for k in range(7)]
-    scaled = landmark_jitter(render / eyes, truth / eyes)
-    assert np.mean([value for value in found if value is not None]) == pytest.approx(scaled)
-    assert jitter([errors[0], None, errors[2]]) is None
 
 
 def test_cosine_by_hand() -> None:
