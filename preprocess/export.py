@@ -1,7 +1,8 @@
 """A capture in the layouts of others' trainers: GaussianAvatars (VHAP's export) and FlashAvatar.
 
 Both need FLAME: a capture whose head is not FLAME's can be written, but those trainers would pose another head with
-its coefficients.
+its coefficients. `ggavatar-export CAPTURE --format vhap | flash-avatar` finds these functions as entry points
+(pyproject.toml), so that ggavatar need not import this package.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
@@ -35,6 +37,9 @@ def record_of(capture: Capture) -> ForeignTracking:
             f"{capture.folder}: the head has {tracking.joint_rotations.shape[1]} joints, FLAME's layouts need 5"
         )
     beyond = np.abs(tracking.joint_rotations[:, FLAME_JOINTS:]).max(initial=0)
+    notes = ["joints beyond FLAME's five are left out"] if beyond > 1e-6 else []
+    if not capture.head_version.startswith("flame"):
+        notes.append(f"the head is {capture.head_version}, not FLAME: others' trainers would pose another head")
     wide = {name: value.astype(np.float64) for name, value in tracking.arrays().items()}
     return ForeignTracking(
         numbers=np.arange(len(capture.frames)),
@@ -48,7 +53,7 @@ def record_of(capture: Capture) -> ForeignTracking:
         translation=wide["translation"],
         shape=wide.get("shape"),
         version=capture.head_version,
-        notes=("joints beyond FLAME's five are left out",) if beyond > 1e-6 else (),
+        notes=tuple(notes),
     )
 
 
