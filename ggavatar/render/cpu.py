@@ -22,7 +22,7 @@ from ggavatar.render.cpu_forward import Canvas
 from ggavatar.render.cpu_shapes import Cloud
 from ggavatar.render.cpu_stages import (
     Lens,
-    bin_all,
+    bin_and_color,
     cropped,
     differentiate_all,
     draw_all,
@@ -88,9 +88,9 @@ class _Rasterize(torch.autograd.Function):
             named = zip(VIEW_NAMES, (torch.from_numpy(lens.intrinsics), pose, background), strict=True)
             check_finite(dict(named))
         footprints = project_all(cloud, view, means2d, radii)
+        bins = bin_and_color(cloud, view, footprints)
         if not np.isfinite(footprints.faults).all():
             check_finite({f"gaussians.{name}": tensor for name, tensor in zip(FIELDS, inputs, strict=True)})
-        bins = bin_all(footprints, view)
         tensors, hits, ends = draw_all(bins, footprints.records, view)
         image, light, depth, alpha = tensors
         ctx.set_materialize_grads(False)

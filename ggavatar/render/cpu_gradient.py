@@ -82,7 +82,6 @@ def differentiate_chunks(tickets, scratches, cloud, view, footprints, bins, slot
             store(scratch, POSE + number * 16, splat(np.float32(0)))
         for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, count), 16):
             prefetch_colors(cloud.colors, cloud.coefficients, first + 2 * 16, count - 1)
-            prefetch_colors(gradients.colors, cloud.coefficients, first + 2 * 16, count - 1)
             differentiate_group(
                 scratch, cloud, view, footprints, gather_sums(scratch, bins, slots, first, count - 1), gradients, first
             )

@@ -7,7 +7,7 @@ import numpy as np
 from ggavatar.compiled import inlined
 from ggavatar.render import harmonics
 from ggavatar.render.cpu_shapes import columns_3, dot
-from ggavatar.render.memory import gather_rows, load, load_rows, prefetch, scatter_rows, store, store_rows, transpose
+from ggavatar.render.memory import gather_rows, load, load_rows, prefetch, scatter_rows, store, stream_rows, transpose
 from ggavatar.render.simd import fma, maximum, negate, select, splat, sqrt
 
 C0, C1 = np.float32(harmonics.C0), np.float32(harmonics.C1)
@@ -124,7 +124,7 @@ def store_color_gradient(scratch, cloud, gradient, color_gradients, first, last)
         store(scratch, number * 16, splat(np.float32(0)))
     if stride == 48:
         for chunk in range(0, 48, 16):
-            store_rows(gradient, first, last, stride, chunk, transpose(load_rows(scratch, chunk, chunk + 15, 16, 0)))
+            stream_rows(gradient, first, last, stride, chunk, transpose(load_rows(scratch, chunk, chunk + 15, 16, 0)))
     else:
         for number in range(stride):
             scatter_rows(gradient, first, last, stride, number, load(scratch, number * 16))

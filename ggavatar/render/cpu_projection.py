@@ -1,4 +1,8 @@
-"""Projection of Gaussians, sixteen at a time: everything the tiles need, in one 64-byte record per Gaussian."""
+"""Projection of Gaussians, sixteen at a time: everything the tiles need, in one 64-byte record per Gaussian.
+
+Shapes come first and colours after them, in a pass of their own: sorting into tiles needs no colours, so one thread
+sorts while the others read harmonics.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +30,7 @@ from ggavatar.render.cpu_shapes import (
 from ggavatar.render.memory import (
     gather_rows,
     pointer,
+    scatter_rows,
     store,
     store_boxes,
     store_columns,
@@ -69,14 +74,25 @@ class Footprints(NamedTuple):
 
 
 @kernel
-def project_chunks(tickets, scratches, cloud, view, footprints):
-    """Project chunks of Gaussians until none is left."""
+def project_chunks(tickets, cloud, view, footprints):
+    """Project chunks of Gaussians, colours left out, until none is left."""
+    cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
+    chunks = (cloud.rows + CHUNK - 1) // CHUNK
+    chunk = take_ticket(tickets, 0)
+    while chunk < chunks:
+        project_chunk(cloud, view, footprints, chunk)
+        chunk = take_ticket(tickets, 0)
+
+
+@kernel
+def color_chunks(tickets, scratches, cloud, view, footprints):
+    """Add the colours to the records of chunks of Gaussians until none is left."""
     scratch = pointer(scratches, take_ticket(tickets, 1) * SCRATCH)
     cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
     chunks = (cloud.rows + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
-        project_chunk(scratch, cloud, view, footprints, chunk)
+        color_chunk(scratch, cloud, view, footprints, chunk)
         chunk = take_ticket(tickets, 0)
 
 
@@ -92,48 +108,59 @@ def bare_footprints(footprints):
 
 
 @inlined
-def project_chunk(scratch, cloud, view, footprints, chunk):
+def project_chunk(cloud, view, footprints, chunk):
     """Project one chunk and note which inputs were not finite."""
     last = cloud.rows - 1
     zero = splat(np.float32(0))
-    faults = (zero, zero, zero, zero, zero)
+    faults = (zero, zero, zero, zero)
     for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
-        prefetch_colors(cloud.colors, cloud.coefficients, first + 2 * 16, last)
-        faults = project_group(scratch, cloud, view, footprints, first, faults)
+        faults = project_group(cloud, view, footprints, first, faults)
     place = chunk * CHECKED
     footprints.faults[place] = total(faults[0])
     footprints.faults[place + 1] = total(faults[1])
     footprints.faults[place + 2] = total(faults[2])
     footprints.faults[place + 3] = total(faults[3])
-    footprints.faults[place + 4] = total(faults[4])
 
 
 @inlined
-def project_group(scratch, cloud, view, footprints, first, faults):
+def project_group(cloud, view, footprints, first, faults):
     """Project sixteen Gaussians; returns `faults` with NaN added where an input is not finite."""
     last = cloud.rows - 1
     zero = np.float32(0)
     means, scales = columns_3(cloud.means, first, last), columns_3(cloud.scales, first, last)
     quats, opacities = columns_4(cloud.quats, first, last), gather_rows(cloud.opacities, first, last, 1, 0)
-    colors, color_fault = colors_of(scratch, cloud, row(view, CENTER), means, first, last)
     point = to_camera(view, means)
     unit, _ = unit_quaternion(quats)
     columns = rotation_columns(unit)
     axis_0, axis_1, ratios = image_axes(view, point)
     cov = covariance(turned(axis_0, columns), turned(axis_1, columns), scales)
     center = (fma(point[0] * ratios[0], view[12], view[14]), fma(point[1] * ratios[0], view[13], view[15]))
-    write_group(footprints, view, (first, last), (point[2], opacities), center, cov, colors)
+    write_group(footprints, view, (first, last), (point[2], opacities), center, cov)
     return (
         fma(means[0] + means[1] + means[2], zero, faults[0]),
         fma(quats[0] + quats[1] + quats[2] + quats[3], zero, faults[1]),
         fma(scales[0] + scales[1] + scales[2], zero, faults[2]),
         fma(opacities, zero, faults[3]),
-        fma(color_fault, zero, faults[4]),
     )
 
 
 @inlined
-def write_group(footprints, view, rows, depth_opacity, center, cov, colors):
+def color_chunk(scratch, cloud, view, footprints, chunk):
+    """Colour one chunk and note whether a colour was not finite."""
+    last = cloud.rows - 1
+    fault = splat(np.float32(0))
+    for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
+        prefetch_colors(cloud.colors, cloud.coefficients, first + 2 * 16, last)
+        means = columns_3(cloud.means, first, last)
+        colors, color_fault = colors_of(scratch, cloud, row(view, CENTER), means, first, last)
+        for channel in range(3):
+            scatter_rows(footprints.records, first, last, RECORD, RED + channel, colors[channel])
+        fault = fma(color_fault, np.float32(0), fault)
+    footprints.faults[chunk * CHECKED + 4] = total(fault)
+
+
+@inlined
+def write_group(footprints, view, rows, depth_opacity, center, cov):
     """Decide which of sixteen projected Gaussians are visible and write all their outputs."""
     depths, opacities = depth_opacity
     xx, xy, yy, determinant = cov
@@ -151,10 +178,10 @@ def write_group(footprints, view, rows, depth_opacity, center, cov, colors):
     top, bottom = covered_tiles(center[1], half_height, view[24])
     store_boxes(footprints.boxes, rows[0] * 4, (left, top, select(drawn, right, left), bottom))
     root, inverse = sqrt(yy), one / sqrt(determinant)
-    record = (
+    record = (  # colours, like the padding, are for now whatever is at hand
         WHITEN * root * inverse, negate(WHITEN * xy * inverse / root), WHITEN / root,
         center[0], center[1], reach - LOG2_255,
-        colors[0], colors[1], colors[2], depths,
+        xx, xx, xx, depths,
         xy / xx, xy / yy, reach + SLACK_REACH, xx, xx, xx,
     )  # fmt: skip
     store_rows(footprints.records, rows[0], rows[0] + 15, RECORD, 0, transpose(record))

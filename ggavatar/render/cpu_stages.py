@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ggavatar.compiled import share, workers
+from ggavatar.compiled import run, share, workers
 from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
 from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.constants import CLAMP_MARGIN
@@ -19,7 +19,7 @@ from ggavatar.render.cpu_backward import BACKWARD_SCRATCH, SUMS, SUMS_READ, Inco
 from ggavatar.render.cpu_forward import BATCH, FORWARD_SCRATCH, Canvas, draw_tiles
 from ggavatar.render.cpu_gradient import GRADIENT_SCRATCH, POSE_SUMS, Gradients, differentiate_chunks
 from ggavatar.render.cpu_harmonics import SCRATCH
-from ggavatar.render.cpu_projection import CHECKED, CHUNK, RECORD, Footprints, project_chunks
+from ggavatar.render.cpu_projection import CHECKED, CHUNK, RECORD, Footprints, color_chunks, project_chunks
 from ggavatar.render.cpu_shapes import Cloud
 
 
@@ -83,12 +83,25 @@ def view_array(lens: Lens, pose: Tensor, background: Tensor) -> np.ndarray:
 
 
 def project_all(cloud: Cloud, view: np.ndarray, means2d: Tensor, radii: Tensor) -> Footprints:
-    """Project all Gaussians; fills `means2d` and `radii`."""
+    """Project all Gaussians, colours left out; fills `means2d` and `radii`."""
     sizes, chunks = _memory(radii), -(-cloud.rows // CHUNK)
     boxes, faults = np.empty(4 * sizes.size, np.int16), np.zeros(chunks * CHECKED, np.float32)
     footprints = Footprints(_floats(RECORD * sizes.size), _memory(means2d), sizes, boxes, faults)
-    share(project_chunks, chunks, _floats(workers() * SCRATCH), cloud, view, footprints)
+    share(project_chunks, chunks, cloud, view, footprints)
     return footprints
+
+
+def bin_and_color(cloud: Cloud, view: np.ndarray, footprints: Footprints) -> Bins:
+    """Sort the visible Gaussians into tiles; meanwhile other threads put the colours into the records."""
+    tickets, scratches, bins = np.zeros(2, np.int64), _floats(workers() * SCRATCH), []
+
+    def task(index: int) -> None:
+        if index == 0:
+            bins.append(bin_all(footprints, view))
+        color_chunks(tickets, scratches, cloud, view, footprints)
+
+    run(task, workers())
+    return bins[0]
 
 
 def bin_all(footprints: Footprints, view: np.ndarray) -> Bins:

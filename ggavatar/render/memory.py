@@ -298,6 +298,21 @@ def store_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, c
     return types.void(array, *[types.int64] * 4, rows), lower
 
 
+@intrinsic
+def stream_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any, rows: Any) -> Any:
+    """As `store_rows`, past the caches, where rows and columns begin on cache lines: saves reading what is replaced."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        mark = builder.module.add_metadata([ir.Constant(_I32, 1)])
+        for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
+            pointer = _address(context, builder, sig.args[0], args[0], index)
+            kept = builder.store(builder.extract_value(args[5], lane), _vector_at(builder, pointer, _VECTOR), align=64)
+            kept.set_metadata("nontemporal", mark)
+        return context.get_dummy_value()
+
+    return types.void(array, *[types.int64] * 4, rows), lower
+
+
 def _blocks(count: int) -> tuple[Any, Any]:
     """Intrinsics that load and store 4 × 4 pixels of `count` interleaved channels, as one vector per channel."""
 
