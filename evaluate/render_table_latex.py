@@ -1,14 +1,29 @@
-"""Tables as LaTeX in the layout of the paper's Tables 1 and 2; needs xcolor (option table) and booktabs."""
+"""Tables as LaTeX in the layout of the paper's Tables 1 and 2."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from evaluate.table import BEST, SECOND, Cell, Row, Table
 
-PREAMBLE = r"""% \usepackage[table]{xcolor} \usepackage{booktabs} \usepackage{graphicx}
+PREAMBLE = r"""% \usepackage[T1]{fontenc} \usepackage[utf8]{inputenc} \usepackage[table]{xcolor} \usepackage{graphicx}
 """
+"""The packages that a document needs which takes in our tables with \\input."""
+
+WIDE = 6
+"""Columns beyond which a table goes over both columns of a page."""
+
+TALL = 45
+"""Rows beyond which a table is set as one table a section, so that none is taller than a page."""
+
+FITTED = (
+    r"  \resizebox{\ifdim\width>\linewidth \linewidth\else\width\fi}{!}{%",
+    r"  \resizebox{!}{\ifdim\height>0.75\textheight 0.75\textheight\else\height\fi}{%",
+)
+"""Boxes that shrink what they hold to the width and most of the height of a page, and never enlarge it."""
+
 COLORS = {BEST: "red!25", SECOND: "yellow!25"}
 SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -40,26 +55,33 @@ SPECIAL = {
 
 def to_latex(tables: Sequence[Table]) -> str:
     """Table environments one after the other; a comment names the packages."""
-    return PREAMBLE + "\n".join(_table(table) for table in tables)
+    return PREAMBLE + "\n".join(_table(part) for table in tables for part in _parts(table))
 
 
-def to_document(tables: Sequence[Table]) -> str:
-    """A complete document that compiles on its own."""
-    packages = "\\usepackage[table]{xcolor}\n\\usepackage{booktabs}\n\\usepackage{graphicx}\n"
-    head = f"\\documentclass{{article}}\n\\usepackage[T1]{{fontenc}}\n\\usepackage[utf8]{{inputenc}}\n{packages}"
-    return f"{head}\\begin{{document}}\n{to_latex(tables)}\\end{{document}}\n"
+def _parts(table: Table) -> Iterator[Table]:
+    """The table itself, or one table for each section of a tall one; the notes stand below the last."""
+    sections = list(dict.fromkeys(row.section for row in table.rows))
+    if len(table.rows) <= TALL or len(sections) == 1:
+        yield table
+        return
+    for section in sections:
+        rows = tuple(dataclasses.replace(row, section="") for row in table.rows if row.section == section)
+        notes = table.notes if section == sections[-1] else ()
+        yield dataclasses.replace(table, caption=f"{section}. {table.caption}", rows=rows, notes=notes)
 
 
 def _table(table: Table) -> str:
-    wide = len(table.columns) > 6
-    environment = "table*" if wide else "table"
-    lines = [f"\\begin{{{environment}}}[t]", "  \\centering", f"  \\caption{{{_caption(table)}}}"]
-    lines += ["  \\resizebox{\\textwidth}{!}{%"] if wide else []
-    lines += [f"  \\begin{{tabular}}{{{_alignment(table)}}}", "    \\hline\\hline", *_heading(table), "    \\midrule"]
-    lines += _body(table)
-    lines += ["    \\hline\\hline", "  \\end{tabular}%" if wide else "  \\end{tabular}"]
-    lines += ["  }"] if wide else []
-    lines += [rf"  \par\smallskip{{\footnotesize {escaped(note)}}}" for note in table.notes]
+    environment = "table*" if len(table.columns) > WIDE else "table"
+    lines = [f"\\begin{{{environment}}}[tp]", "  \\centering", f"  \\caption{{{_caption(table)}}}\\smallskip"]
+    lines += [
+        *FITTED,
+        f"  \\begin{{tabular}}{{{_alignment(table)}}}",
+        "    \\hline\\hline",
+        *_heading(table),
+        "    \\hline",
+    ]
+    lines += [*_body(table), "    \\hline\\hline", "  \\end{tabular}}}"]
+    lines += [rf"  \par\smallskip{{\footnotesize\raggedright {escaped(note)}\par}}" for note in table.notes]
     return "\n".join([*lines, f"\\end{{{environment}}}", ""])
 
 

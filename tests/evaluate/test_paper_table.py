@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from evaluations import evaluation
 from evaluate.comparison_table import studies
 from evaluate.outputs import build_tables
 from evaluate.paper_table import NOTE, paper_table_1, paper_table_2, read_paper, with_paper
-from evaluate.render_table_latex import escaped, to_document, to_latex
+from evaluate.render_table_latex import PREAMBLE, TALL, escaped, to_latex
 from evaluate.table import BEST, DASH, SECOND, Table
 
 # R marks what the paper prints on red, Y what it prints on yellow; copied from its source by hand.
@@ -43,8 +44,8 @@ def printed(text: str) -> dict[str, list[str]]:
 def latex_rows(table: Table) -> dict[str, list[str]]:
     """Cells by row as they stand in the LaTeX source."""
     source = to_latex([table])
-    body = source.split("\\midrule")[1].split("\\hline\\hline")[0].replace("\\hline", "")
-    rows = [line.strip().removesuffix("\\\\").split(" & ") for line in body.splitlines() if "&" in line]
+    body = source.split("\\hline\\hline")[1].split("\n")
+    rows = [line.strip().removesuffix("\\\\").split(" & ") for line in body if "&" in line and "column" not in line]
     return {label: [cell.strip() for cell in cells] for label, *cells in rows}
 
 
@@ -115,7 +116,7 @@ def environments_close(source: str) -> bool:
 def test_latex_is_well_formed_for_tables_of_every_kind() -> None:
     runs = [evaluation(f"50% _{name}_ & {{x}}", method, lpips=()) for name in "ab" for method in ("m_1", "m#2")]
     tables = build_tables(runs, paper=True)
-    source = to_document([*tables, paper_table_1(), paper_table_2()])
+    source = to_latex([*tables, paper_table_1(), paper_table_2()])
     assert environments_close(source)
     assert source.count("{") - source.count(r"\{") == source.count("}") - source.count(r"\}")
     assert all(ord(character) < 128 or character in "–" for character in re.sub(r"[§·⌈⌉]", "", source)), source
@@ -142,11 +143,45 @@ def test_special_characters_are_escaped() -> None:
     )
 
 
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
-def test_latex_compiles(tmp_path: Path) -> None:
-    runs = [evaluation("ID 1", "ggavatar"), evaluation("ID 1", "mine", lpips=())]
-    (tmp_path / "t.tex").write_text(to_document([*build_tables(runs, paper=True), paper_table_1(), paper_table_2()]))
-    done = subprocess.run(
-        ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"], cwd=tmp_path, capture_output=True
+def pdf_pages(folder: Path, tables: Sequence[Table], options: str = "") -> str:
+    """The text of a document that takes in the tables as a user does, with the packages that our comment names."""
+    (folder / "table.tex").write_text(to_latex(tables), encoding="utf-8")
+    packages = PREAMBLE.removeprefix("% ")
+    document = (
+        f"\\documentclass[{options}]{{article}}\n{packages}\\begin{{document}}\\input{{table}}\\end{{document}}\n"
     )
-    assert done.returncode == 0, done.stdout.decode()[-2000:]
+    (folder / "paper.tex").write_text(document)
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, check=False)
+    log = (folder / "paper.log").read_text(encoding="latin-1")
+    assert done.returncode == 0, log[-2000:]
+    assert "Overfull" not in log and "too large" not in log, "everything fits the page"
+    return subprocess.run(["pdftotext", "-layout", "paper.pdf", "-"], cwd=folder, capture_output=True, text=True).stdout
+
+
+needs_latex = pytest.mark.skipif(
+    not (shutil.which("pdflatex") and shutil.which("pdftotext")),
+    reason="needs pdflatex and pdftotext (Debian: texlive-latex-recommended, poppler-utils)",
+)
+
+
+@needs_latex
+def test_the_papers_tables_compile_and_print_every_cell(tmp_path: Path) -> None:
+    text = pdf_pages(tmp_path, [paper_table_1(), paper_table_2()])
+    lines = [line.split() for line in text.splitlines()]
+    for expected in (TABLE_1, TABLE_2):
+        for label, cells in printed(expected).items():
+            wanted = [*label.split(), *(cell[:5] for cell in cells)]
+            assert wanted in lines
+
+
+@needs_latex
+@pytest.mark.parametrize("options", ["", "twocolumn"])
+def test_our_tables_compile_and_fit_the_page(tmp_path: Path, options: str) -> None:
+    runs = [evaluation(f"50% of #{k} & {{B_b}}", m) for k in range(5) for m in ("ggavatar", "x_y ☃", "[a]*")]
+    runs += [evaluation("Anna", "ggavatar", (33.0 + k, -1.5), lpips=(), seed=k) for k in range(2)]
+    tables = [*build_tables(runs, paper=True), *build_tables(runs[:4], "ablation", paper=True)]
+    assert max(len(table.rows) for table in tables) > TALL
+    text = pdf_pages(tmp_path, tables, options)
+    assert "50% of #4 & {B_b}" in text
+    assert "no weights: alexnet_features.pth" in " ".join(text.split())
