@@ -8,7 +8,10 @@ import json
 import sys
 from pathlib import Path
 
-from benchmarks.measure import environment
+from ggavatar.process import prepare_process
+
+prepare_process()
+from benchmarks.measure import environment  # noqa: E402  imports torch
 
 NAMES = ("rasterizer", "step", "scaling")
 

@@ -7,6 +7,8 @@ import os
 import sys
 from collections.abc import Callable
 
+from ggavatar.process import prepare_process
+
 EXIT_FAILURE, EXIT_USAGE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 3, 130, 143
 
 
@@ -20,8 +22,7 @@ class GateError(Exception):
 
 def run_command(main: Callable[[], int | None]) -> int:
     """Run the body of a command and return its exit code; foreseeable failures become one message on stderr."""
-    # Idle OpenMP threads would spin on the cores our own threads work on; must be said before torch is imported.
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    prepare_process()
     try:
         return main() or 0
     except InputError as error:
