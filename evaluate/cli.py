@@ -21,6 +21,7 @@ from evaluate.render_table_terminal import show
 from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
 from ggavatar.errors import GateError, InputError, run_command
+from ggavatar.formats.source import is_gaussian_file, results_folder
 from ggavatar.model_folders import model_folders
 
 WIDTH = 160
@@ -62,7 +63,7 @@ def _behind(options: Options, evaluations: Sequence[Evaluation], folder: Path) -
         return write_copies(evaluations, folder)
     if options.folders.pred:
         return [folder / METRICS_FILE]
-    path = options.runs[0]
+    path = results_folder(options.runs[0])
     return [path if path.is_file() else _home(path, evaluations[0]) / METRICS_FILE]
 
 
@@ -104,7 +105,7 @@ def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[
     evaluations: list[Evaluation] = []
     written: list[Path] = []
     for path in options.runs:
-        if path.is_file() or (path / METRICS_FILE).is_file():
+        if not is_gaussian_file(path) and (path.is_file() or (path / METRICS_FILE).is_file()):
             evaluations.append(read_results(path))
             continue
         from evaluate.run_evaluation import evaluate_run
@@ -175,6 +176,7 @@ def _visuals(options: Options, evaluations: Sequence[Evaluation], folder: Path, 
 
 def _home(path: Path, evaluation: Evaluation) -> Path:
     """Folder of the metrics that a command-line argument stands for."""
+    path = results_folder(path)
     if path.is_file():
         return path.parent
     return path if (path / METRICS_FILE).is_file() else path / "eval" / evaluation.protocol.id
@@ -187,7 +189,7 @@ def _table_folder(options: Options) -> Path:
     if options.folders.pred:
         return options.folders.pred.resolve().parent / f"{options.folders.pred.resolve().name}-evaluation"
     if len(options.runs) == 1:
-        path = options.runs[0]
+        path = results_folder(options.runs[0])
         return path.parent if path.is_file() else path
     return Path("evaluation")
 

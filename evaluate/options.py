@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +10,7 @@ import tyro
 
 from evaluate.protocol import PROTOCOLS, Protocol, named
 from ggavatar.errors import InputError
+from ggavatar.formats.source import Source
 from ggavatar.splits import split_name
 
 Alias = tyro.conf.arg
@@ -88,13 +89,14 @@ class Options:
     """Measure avatars and print tables. Give run folders, result files (metrics.json), or --pred and --gt."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folders, evaluation folders or metrics.json files; any mixture."""
+    """Run folders, evaluation folders, metrics.json files or FILE.ply with --capture; any mixture."""
     labels: tuple[str, ...] = ()
     """Names of the methods in the table, one per run, in order; the runs' own by default."""
     table: bool = False
     """Print the table (its files are always written)."""
     protocol: str = "auto"
     """paper, strict, insta-350, flash-500, imavatar-face256, gaussian-avatars, folders; auto: by the run's split."""
+    source: tyro.conf.OmitArgPrefixes[Source] = field(default_factory=Source)
     folders: tyro.conf.OmitArgPrefixes[Folders] = Folders()
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()

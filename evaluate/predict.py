@@ -133,16 +133,23 @@ def job_of(run: Run, protocol: Protocol) -> Job:
         )
     red, green, blue = run.background.tolist() if protocol.background_rgb is None else protocol.background_rgb
     truth = Truth((red, green, blue), protocol.size, protocol.mask == "binary")
-    record = run.folder / "checkpoints" / f"step-{run.step:09d}.json"
     identity = {
         "subject": run.capture.subject,
         "method": run.method,
         "step": run.step,
-        "checkpoint_sha256": json.loads(record.read_text(encoding="utf-8"))["sha256"],
+        "checkpoint_sha256": _digest(run),
         "split": run.config.split if own else protocol.split,
         "fps": run.capture.fps,
     }
     return Job(tuple(frames), truth, identity)
+
+
+def _digest(run: Run) -> str:
+    """SHA-256 of the checkpoint, or of the file that was opened in place of a run."""
+    if "file_sha256" in run.provenance:
+        return str(run.provenance["file_sha256"])
+    record = run.folder / "checkpoints" / f"step-{run.step:09d}.json"
+    return str(json.loads(record.read_text(encoding="utf-8"))["sha256"])
 
 
 def predict_frames(run: Renderable, job: Job, folder: Path, progress: Progress | None = None) -> dict[str, Any]:

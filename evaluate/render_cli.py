@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from ggavatar.errors import InputError, run_command
+from ggavatar.formats.source import Source, is_gaussian_file
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,8 @@ class Options:
     """Draw a trained avatar: the frames of a split (default), an orbit around the head, or another performance."""
 
     run: tyro.conf.Positional[Path]
-    """Run folder written by ggavatar-train."""
+    """Run folder written by ggavatar-train, or FILE.ply of 3DGS or GaussianAvatars (docs/export.md)."""
+    source: tyro.conf.OmitArgPrefixes[Source] = field(default_factory=Source)
     output_dir: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
     """Folder to write; RUN/renders/WHAT if not given."""
     split: Literal["test", "train", "all"] = "test"
@@ -95,6 +97,10 @@ def check(options: Options) -> None:
     """
     if options.orbit and options.drive is not None:
         raise InputError("expected --orbit or --drive, found both; run the command once for each")
+    if is_gaussian_file(options.run) and options.source.capture is None and not options.orbit:
+        raise InputError(
+            f"{options.run}: a file of Gaussians has no cameras; add --capture DIR for those of a capture, or --orbit"
+        )
     if options.resume and options.overwrite:
         raise InputError("expected --resume or --overwrite, found both; choose one")
     if options.views < 1 or not 0 <= options.yaw <= 180 or not 0 <= options.pitch <= 89:

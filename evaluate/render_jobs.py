@@ -9,21 +9,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from evaluate.comparison_table import printed
 from evaluate.drive import drives_of, fitted_to
 from evaluate.frame_files import find_frame
 from evaluate.ground_truth import Color, Truth
+from evaluate.lone_file import LoneFile, open_alone
 from evaluate.motion import Motion, motion_of, read_motion
 from evaluate.novel_views import novel_views
 from evaluate.orbit import head_center, sweep, turned
-from evaluate.protocol import Protocol
+from evaluate.protocol import GIVEN, Protocol
 from evaluate.reenact import Transfer, neutral_row, transferred
 from evaluate.reenactment_figure import reenactment, telling_rows
 from evaluate.render_views import FRAMES, VIDEO, Output, View, claim, read_note, render_views
+from evaluate.sources import open_file, refuse_file_flags
 from evaluate.video import playback_fps
 from ggavatar.capture import Capture
+from ggavatar.core import Camera, Drive
 from ggavatar.errors import InputError
+from ggavatar.formats.source import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.pictures import read_rgb, write_png
@@ -33,6 +38,8 @@ if TYPE_CHECKING:
     from evaluate.render_cli import Options
 
 COLUMNS = 6
+FPS = 25.0
+"""Of an orbit around a file without a capture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,9 +62,9 @@ class Shot:
 def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]:
     """Do what the options say and return the paths written: folder, video, figure."""
     device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
-    run = open_run(options.run, device, options.step, options.backend)
+    run = _open(options, device)
     background = _background(options, run)
-    shot = _shot(options, run, background)
+    shot = _orbit_alone(options, run, background) if isinstance(run, LoneFile) else _shot(options, run, background)
     views = [_sized(view, options.width) for view in _part(shot.views, options.frames)]
     folder = options.output_dir or options.run / "renders" / shot.name
     fps = (options.fps or shot.fps) if options.video else None
@@ -66,6 +73,18 @@ def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]
     render_views(run.avatar, run.rasterize, views, output, progress)
     written = [folder / FRAMES, folder / VIDEO if options.video else None, shot.figure(output)]
     return [path for path in written if path is not None]
+
+
+def _open(options: Options, device: str) -> Run | LoneFile:
+    """A run, or a file of Gaussians with or without a capture."""
+    source = options.source
+    if is_gaussian_file(options.run):
+        if source.capture is None:
+            return open_alone(options.run, source, device, options.backend)
+        return open_file(options.run, source, GIVEN, device, options.backend)
+    refuse_file_flags(options.run, source)
+    moved = [] if source.capture is None else [source.capture]
+    return open_run(options.run, device, options.step, options.backend, *moved)
 
 
 def _shot(options: Options, run: Run, background: Color) -> Shot:
@@ -80,19 +99,30 @@ def _shot(options: Options, run: Run, background: Color) -> Shot:
 
 
 def _orbit(options: Options, run: Run, background: Color) -> Shot:
-    head = _head(run)
     frame = run.capture.frames[_neutral(motion_of(run.capture), options.target_neutral)]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
-    center = head_center(head, drive)
+    around = drive, camera, head_center(_head(run), drive)
+    return _around(options, run, around, run.capture.fps, background)
+
+
+def _orbit_alone(options: Options, file: LoneFile, background: Color) -> Shot:
+    return _around(options, file, file.front(), FPS, background)
+
+
+def _around(
+    options: Options, run: Run | LoneFile, view: tuple[Drive, Camera, Tensor], fps: float, background: Color
+) -> Shot:
+    """An orbit that holds the drive, from a camera and about a point."""
+    drive, camera, center = view
     angles = sweep(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
     views = [View(index, drive, turned(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
 
     def figure(output: Output) -> Path:
         path = output.folder / "novel_views.png"
-        write_png(path, novel_views(run.avatar, run.rasterize, (drive, camera, center), background))
+        write_png(path, novel_views(run.avatar, run.rasterize, view, background))
         return path
 
-    return Shot("orbit", views, run.capture.fps, figure)
+    return Shot("orbit", views, fps, figure)
 
 
 def _driven(options: Options, run: Run, background: Color) -> Shot:
@@ -150,7 +180,7 @@ def _head(run: Run) -> HeadModel:
     return load_head(run.capture.head_path).to(run.background.device, torch.float32)
 
 
-def _background(options: Options, run: Run) -> Color:
+def _background(options: Options, run: Run | LoneFile) -> Color:
     red, green, blue = run.background.tolist()
     if options.background is None:
         return red, green, blue
@@ -179,9 +209,14 @@ def _sized(view: View, width: int | None) -> View:
     )
 
 
-def _content(options: Options, run: Run) -> dict[str, Any]:
+def _content(options: Options, run: Run | LoneFile) -> dict[str, Any]:
     """What decides the pictures, as plain values: equal for equal pictures."""
-    skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside"}
+    skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
-    return {"subject": run.capture.subject, "method": run.method, "step": run.step, "options": chosen}
+    subject = run.subject if isinstance(run, LoneFile) else run.capture.subject
+    content = {"subject": subject, "method": run.method, "step": run.step, "options": chosen}
+    if "file_sha256" in run.provenance:
+        opened = {name: None if value is None else str(value) for name, value in vars(options.source).items()}
+        content["file"] = {"sha256": run.provenance["file_sha256"], **opened}
+    return content

@@ -17,8 +17,11 @@ from evaluate.protocol import GIVEN, Protocol
 from evaluate.region_masks import write_region_masks
 from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
+from evaluate.sources import open_file, refuse_file_flags
 from evaluate.weights import NO_WEIGHTS
 from ggavatar.errors import InputError
+from ggavatar.formats.imported_run import DEFAULT_SPLIT
+from ggavatar.formats.source import is_gaussian_file
 from ggavatar.model_folders import model_folders
 from ggavatar.runs import Run, open_run, read_config
 from ggavatar.splits import split_name
@@ -32,7 +35,7 @@ def evaluate_run(
     """Predict and score one run under the options' protocol; results that are up to date are read instead.
 
     Args:
-        folder: Written by ggavatar-train.
+        folder: Written by ggavatar-train, or a file of Gaussians to score with the options' capture.
         options: Of the command.
         progress: Makes a callback with (done, total) for a title.
 
@@ -42,13 +45,12 @@ def evaluate_run(
     Raises:
         InputError: Not a run, or the protocol cannot be applied to it.
     """
-    config = read_config(folder)
     device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
-    run = open_run(folder, device)
-    protocol = fitted(options.base_protocol(config.split), run)
-    listed = split_name(config.split) == protocol.split == "file"
+    run = _open(folder, options, device)
+    protocol = fitted(options.base_protocol(run.config.split), run)
+    listed = split_name(run.config.split) == protocol.split == "file"
     job = job_of(run, protocol.override(split=GIVEN) if listed else protocol)
-    home = folder / "eval" / protocol.id
+    home = run.folder / "eval" / protocol.id
     folders = model_folders(options.models)
     learned = None if options.no_learned else learned_metrics(protocol, folders)
     faces = None if options.no_learned else face_metrics(protocol, folders)
@@ -64,6 +66,16 @@ def evaluate_run(
     pairs = pair_folders(home / "predictions", home / "ground_truth", home / "masks", regions, job.frames)
     evaluation = score(pairs, protocol, _labels(run, summary), learned, faces, options.threads, progress("scoring"))
     return evaluation, write_results(evaluation, home)
+
+
+def _open(folder: Path, options: Options, device: str) -> Run:
+    """A run, or a file of Gaussians seen by the capture that the options name, tested by their split."""
+    if is_gaussian_file(folder):
+        return open_file(folder, options.source, options.base_protocol(DEFAULT_SPLIT).split, device)
+    refuse_file_flags(folder, options.source)
+    read_config(folder)
+    moved = options.source.capture
+    return open_run(folder, device) if moved is None else open_run(folder, device, capture=moved)
 
 
 def fitted(protocol: Protocol, run: Run) -> Protocol:
@@ -138,6 +150,9 @@ def _labels(run: Run, summary: dict[str, Any]) -> Labels:
         "capture_sha256": run.provenance.get("capture_sha256"),
         "training_split": run.config.split,
     }
+    if "file" in run.provenance:
+        origin = f"{run.method}: opened from {run.provenance['file']}; its training frames are not known"
+        return Labels(run.capture.subject, run.method, None, costs, where, (origin,))
     notes = () if run.provenance.get("finished", True) else (f"the training was not finished (step {run.step})",)
     return Labels(run.capture.subject, run.method, run.config.seed, costs, where, notes)
 

@@ -1,0 +1,88 @@
+"""A file of Gaussians without a capture: nothing is known but where they are, so the camera is put in front of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ggavatar.core import Camera, Drive, Gaussians, Rasterizer
+from ggavatar.formats.imported import BoundAvatar, ImportedAvatar, open_gaussians
+from ggavatar.formats.imported_run import WHITE, file_digest
+from ggavatar.formats.source import Source, results_folder
+from ggavatar.geometry import look_at
+from ggavatar.render.pick import pick
+
+SIDE, FIELD_OF_VIEW, FILLED, INNER = 512, math.radians(25), 0.8, 0.96
+"""Picture side (px), opening of the camera, share of the picture that is filled, by this share of the Gaussians."""
+MANY = 1 << 20
+"""More Gaussians than this are thinned out to find their box."""
+
+
+@dataclass(frozen=True)
+class LoneFile:
+    """What drawing needs of a file of Gaussians.
+
+    Attributes:
+        folder: Where results go.
+        subject: The file's name.
+        method: What kind of file it is.
+        avatar: The Gaussians.
+        rasterize: The renderer.
+        background: sRGB.
+        provenance: Digest of the file.
+        step: Always 0.
+    """
+
+    folder: Path
+    subject: str
+    method: str
+    avatar: ImportedAvatar
+    rasterize: Rasterizer
+    background: Float[Tensor, "3"]
+    provenance: dict[str, str]
+    step: int = 0
+
+    def front(self) -> tuple[Drive, Camera, Float[Tensor, "3"]]:
+        """A neutral drive, a camera that sees all of it from the front (+Z), and the point it looks at, m."""
+        drive = self._drive()
+        center, radius = extent(self.avatar.gaussians(drive))
+        distance = radius / (FILLED * math.tan(FIELD_OF_VIEW / 2))
+        focal = SIDE / 2 / math.tan(FIELD_OF_VIEW / 2)
+        intrinsics = center.new_tensor([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1]])
+        view = look_at(center + center.new_tensor([0, 0, distance]), center, center.new_tensor([0.0, 1.0, 0.0]))
+        return drive, Camera(intrinsics, view, SIDE, SIDE), center
+
+    def _drive(self) -> Drive:
+        if isinstance(self.avatar, BoundAvatar):
+            return self.avatar.head.neutral_drive()
+        zero = self.background.new_zeros
+        return Drive(zero(0), zero(0, 3), zero(2), zero(3), torch.eye(4).to(self.background))
+
+
+def extent(gaussians: Gaussians) -> tuple[Float[Tensor, "3"], float]:
+    """Middle and half side, m, of the box around all but a few outlying Gaussians."""
+    seen = gaussians.means[gaussians.opacities > 1 / 255]
+    seen = seen if len(seen) else gaussians.means
+    margin = (1 - INNER) / 2
+    low, high = (
+        part.quantile(share, dim=0) for part, share in ((seen[: 1 << 20], margin), (seen[: 1 << 20], 1 - margin))
+    )
+    return (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
+
+
+def open_alone(path: Path, source: Source, device: str, backend: str) -> LoneFile:
+    """Open a file of Gaussians without a capture.
+
+    Raises:
+        InputError: Not such a file, or it is bound to a head that was not given.
+    """
+    avatar = open_gaussians(path, source, None, device)
+    method = "gaussian_avatars file" if isinstance(avatar, BoundAvatar) else "3dgs file"
+    background = torch.tensor(WHITE, device=device)
+    digest = {"file": str(path), "file_sha256": file_digest(path)}
+    return LoneFile(results_folder(path), path.stem, method, avatar, pick(device, backend), background, digest)

@@ -1,0 +1,32 @@
+"""A file of Gaussians in place of a run folder, drawn and scored with the capture it is seen by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from evaluate.protocol import GIVEN
+from ggavatar.capture import Capture
+from ggavatar.errors import InputError
+from ggavatar.formats.imported_run import DEFAULT_SPLIT, open_imported_run
+from ggavatar.formats.source import Source
+from ggavatar.runs import Run
+
+
+def open_file(path: Path, source: Source, split: str, device: str, backend: str = "auto") -> Run:
+    """A file of Gaussians as a run; where the protocol takes the split as given, it is the capture's.
+
+    Raises:
+        InputError: Not a file of Gaussians, or no capture that fits.
+    """
+    if split in (GIVEN, "file") and source.capture is not None:
+        known = Capture.open(source.capture).splits
+        split = "file" if "file" in known else DEFAULT_SPLIT
+    return open_imported_run(path, source, split, device, backend)
+
+
+def refuse_file_flags(path: Path, source: Source) -> None:
+    """Refuse flags that say how to open a file where a run is opened."""
+    if source.head_model or source.flame_params or source.axes != "auto":
+        raise InputError(
+            f"{path}: --head-model, --flame-params and --axes belong to a file of Gaussians, it is none; leave them out"
+        )
