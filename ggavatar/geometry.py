@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from ggavatar.acceleration import compiled_for
+
 
 class TriangleFrames(NamedTuple):
     """Local frames of triangles (GGAvatar Eq. 4–5)."""
@@ -35,6 +37,20 @@ def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
     References:
         GGAvatar (Li et al. 2024), Eq. 4–5; GaussianAvatars (Qian et al. 2024), Sec. 3.2.
     """
+    if (vertices.requires_grad and torch.is_grad_enabled()) or not compiled_for(vertices, faces):
+        return frames_in_torch(vertices, faces)
+    from ggavatar.triangle_kernel import fill_frames
+
+    count = len(faces)
+    frames = TriangleFrames(vertices.new_empty(count, 3), vertices.new_empty(count, 3, 3), vertices.new_empty(count))
+    fill_frames(
+        *(value.detach().contiguous().numpy() for value in (vertices, faces)), *(part.numpy() for part in frames)
+    )
+    return frames
+
+
+def frames_in_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
+    """`triangle_frames` in plain torch: any dtype and device, differentiable."""
     corner_0, corner_1, corner_2 = vertices[faces].unbind(1)
     edge_10, edge_20 = corner_1 - corner_0, corner_2 - corner_0
     length = edge_10.norm(dim=-1)

@@ -16,7 +16,8 @@ PACKAGES = ("ggavatar", "preprocess", "evaluate")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 NAMES = [str(path.relative_to(ROOT)) for path in SOURCES]
 ALLOWED = {"ggavatar": {"ggavatar"}, "preprocess": {"ggavatar", "preprocess"}, "evaluate": {"ggavatar", "evaluate"}}
-RANK = {"core": 0, "errors": 0, "geometry": 1, "methods": 3, "trainer": 4, "cli": 5, "sweep": 5, "session": 5}
+RANK = {"core": 0, "errors": 0, "process": 0, "acceleration": 0, "compiled": 0, "geometry": 1, "triangle_kernel": 1}
+RANK |= {"methods": 3, "trainer": 4, "cli": 5, "sweep": 5, "session": 5}
 UNPICKLER = "ggavatar/unpickle.py"
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.geometry import (
     axis_angle_to_matrix,
+    frames_in_torch,
     invert_rigid,
     look_at,
     matrix_to_axis_angle,
@@ -137,3 +138,27 @@ def test_degenerate_triangles_get_a_valid_rotation(corner: list[list[float]]) ->
     frames = triangle_frames(torch.tensor(corner, dtype=torch.float32), torch.tensor([[0, 1, 2]]))
     assert torch.allclose(torch.linalg.det(frames.rotations), torch.ones(1), atol=1e-5)
     assert torch.isfinite(frames.scales).all() and torch.isfinite(frames.centers).all()
+
+
+@pytest.mark.parametrize("shape", ["random", "flat", "points"])
+def test_compiled_triangle_frames_equal_the_twin(shape: str) -> None:
+    generator = torch.Generator().manual_seed(3)
+    vertices = torch.randn(300, 3, generator=generator) * 0.01
+    faces = torch.stack([torch.randperm(300, generator=generator)[:3] for _ in range(500)])
+    if shape == "flat":
+        faces[:, 2] = faces[:, 1]
+    elif shape == "points":
+        faces[:, 1], faces[:, 2] = faces[:, 0], faces[:, 0]
+    found, expected = triangle_frames(vertices, faces), frames_in_torch(vertices, faces)
+    assert torch.allclose(found.centers, expected.centers, atol=1e-8)
+    assert torch.allclose(found.scales, expected.scales, rtol=1e-5, atol=1e-8)
+    unit = found.rotations.transpose(1, 2) @ found.rotations
+    assert torch.allclose(unit, torch.eye(3).expand_as(unit), atol=1e-5)
+    if shape == "random":  # without area any frame along the edge is right, and rounding chooses
+        assert torch.allclose(found.rotations, expected.rotations, atol=2e-4)
+
+
+def test_triangle_frames_pass_gradients_to_vertices() -> None:
+    vertices = torch.randn(6, 3, dtype=torch.float64, requires_grad=True)
+    faces = torch.tensor([[0, 1, 2], [3, 4, 5]])
+    assert torch.autograd.gradcheck(lambda v: tuple(triangle_frames(v, faces)), (vertices,))
