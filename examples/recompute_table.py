@@ -1,36 +1,40 @@
-"""Compute every number of a table again from the results it lists: python recompute_table.py table.json."""
+"""Compute the numbers of a table again from the result files beside it: python recompute_table.py table.json.
+
+Paired differences and their intervals are the matter of recompute_intervals.py.
+"""
 
 import json
+import re
 import sys
 from math import ceil, log10
 from pathlib import Path
-from statistics import fmean, median, stdev
+from statistics import fmean, stdev
+
+import pandas as pd
 
 
-def number(result, kind, metric):
-    """One statistic of one result, from its per-frame values."""
+def statistic(result, kind, metric):
+    """One number of one result: a cost, or made of the values per frame, which are null where there is none."""
     if kind == "efficiency":
         return result["efficiency"][metric]
-    name = "mse" if metric == "psnr_pooled" else metric
-    values = [value for value in result["per_frame"].get(name, []) if value is not None]
-    if metric == "psnr_pooled":
-        return len(values) if kind == "count" else -10 * log10(fmean(values))
-    best_first = sorted(values, reverse=result["summary"][metric]["higher_is_better"])
-    known = {"median": median, "std_over_frames": stdev, "count": len}
-    return fmean(best_first[-ceil(len(values) / 20) :]) if kind == "worst_5_percent" else known.get(kind, fmean)(values)
+    values = pd.Series(result["per_frame"].get(metric.replace("psnr_pooled", "mse")), dtype=float).dropna()
+    worst_first = values.sort_values(ascending=result["summary"][metric]["higher_is_better"])
+    known = {"count": values.count, "median": values.median, "std_over_frames": values.std}
+    known["worst_5_percent"] = worst_first.head(ceil(len(values) / 20)).mean
+    mean = (lambda: -10 * log10(values.mean())) if metric == "psnr_pooled" else values.mean
+    return known.get(kind, mean)()
 
 
-file = Path(sys.argv[1])
-content = json.loads(file.read_text(encoding="utf-8"))
+content = json.loads((file := Path(sys.argv[1])).read_text(encoding="utf-8"))
 results = [json.loads((file.parent / name).read_text(encoding="utf-8")) for name in content["results"]]
-for table in content["tables"]:
-    for label, cell in [(row["label"], cell) for row in table["rows"] for cell in row["cells"] if cell["source"]]:
-        kind, subjects, methods, metric, seed = cell["source"].values()
-        mine = [r for r in results if r["protocol"]["id"] == table["protocol"] and seed in (None, r["seed"])]
-        runs = [[[r for r in mine if (r["subject"], r["method"]) == (s, m)] for s in subjects] for m in methods]
-        found = [[[number(r, kind, metric) for r in seeds] for seeds in group] for group in runs]
-        reduce = stdev if kind == "std_over_seeds" else fmean
-        means = [fmean(reduce(seeds) for seeds in group) for group in found]
-        again = means[0] - sum(means[1:])
-        print(f"{table['name']:13} {label:30} {kind:16} {metric:22} {cell['text']:28} {again:.6f}")
-        assert abs(again - cell["value"]) <= 1e-9 * max(1, abs(again)), "the table does not follow from its files"
+for table in [table for table in content["tables"] if table["name"] != "significance"]:
+    for cell in [cell for row in table["rows"] for cell in row["cells"] if cell["source"]]:
+        kind, subjects, (method,), metric, seed = cell["source"].values()
+        mine = [r for r in results if (r["protocol"]["id"], r["method"]) == (table["protocol"], method)]
+        mine = [r for r in mine if seed in (None, r["seed"])]
+        runs = [[statistic(r, kind, metric) for r in mine if r["subject"] == subject] for subject in subjects]
+        again = [fmean(map(stdev if kind == "std_over_seeds" else fmean, runs))]
+        again += [stdev(runs[0])] if cell["deviation"] is not None else []
+        for text, number in zip(re.findall(r"-?\d+\.?\d*", cell["text"]), again, strict=True):
+            print(f"{table['name']:12} {kind:16} {metric:22} {text:>10} = {number:.6f}")
+            assert abs(float(text) - number) <= 0.5001 * 10 ** -len(text.partition(".")[2]), f"{text} is not {number}"
