@@ -1,0 +1,20 @@
+"""Pixels inside a convex outline."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import ConvexHull, QhullError
+from torch import Tensor
+
+
+def hull_mask(points: Float[Tensor, "N 2"], height: int, width: int) -> Float[Tensor, "H W 1"]:
+    """1 where a pixel's centre lies in the convex hull of `points` (px), else 0; all 0 if they lie on a line."""
+    try:
+        lines = ConvexHull(points.detach().cpu().double().numpy()).equations
+    except (QhullError, ValueError):
+        return points.new_zeros(height, width, 1)
+    rows, columns = np.arange(height)[:, None, None] + 0.5, np.arange(width)[None, :, None] + 0.5
+    outside = columns * lines[:, 0] + rows * lines[:, 1] + lines[:, 2] > 0
+    return torch.from_numpy(~outside.any(axis=-1, keepdims=True)).to(points)

@@ -1,0 +1,360 @@
+"""FlashAvatar (Xiang et al. 2024): Gaussians at the texels of a head mesh, moved by a network of place and expression.
+
+A baseline of the paper's Table 1; https://arxiv.org/abs/2312.02214 and its public code are the source of every number.
+
+    1. Every texel of the texture layout that a triangle covers carries a Gaussian (`ggavatar.uv_sampling`).
+    2. A network of its neutral place and the facial parameters gives Δμ, Δr and Δs; the mesh gives the rest.
+    3. There is no density control: Huber loss, the mouth weighing 40 times more, and late a perceptual term.
+
+What this project cannot have, and takes instead: FLAME's texture layout (heads here come without it) – a strip that
+gives room by area, `layout`; the parsed mouth – the convex hull of the projected lips; the parsed head – the
+foreground; LPIPS – the project's perceptual loss, named in provenance.json. The authors train before green
+(`--background 0,1,0`) on head and neck only; for a fair table background and foreground are everybody's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from torch import Tensor, nn
+from torch.nn.functional import normalize
+
+from ggavatar.batches import spaced
+from ggavatar.colors import rgb_to_sh, splatted_colors
+from ggavatar.conditioned_perceptron import ConditionedPerceptron
+from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.geometry import project, quaternion_multiply
+from ggavatar.head.model import HeadModel
+from ggavatar.hulls import hull_mask
+from ggavatar.losses import huber
+from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
+from ggavatar.pose import POSE_FEATURES, HeadPoses
+from ggavatar.rows import Column, Rows
+from ggavatar.scene import Scene
+from ggavatar.schedule import seeded
+from ggavatar.uv_sampling import SurfaceSamples, ever_facing, face_areas, open_rim, strip_samples, texel_samples
+
+ITERATIONS = 150_000
+"""Length of the authors' training, to which all constants below refer."""
+FLAME_COVERAGE = 14_734 / 128**2
+"""Share of the texels that FLAME's triangles cover."""
+VIEWS = 24
+"""Training frames that decide which triangles are ever seen."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every number of the method. Iterations are those of the authors' 150,000 and scale with the training."""
+
+    texels: int = 128
+    """Texels along an edge of the texture (code's default; 256 in GGAvatar's comparison)."""
+    layout: Literal["strip", "head"] = "strip"
+    """Texture layout: one that is made for the head, or the head file's own if it has one."""
+    unseen_room: float = 0.25
+    """Room of a triangle in the strip if no training frame can show it, against one of equal area (ours)."""
+    boundary: Literal["keep", "drop"] = "keep"
+    """Texels at the lower rim of the mesh: kept (GGAvatar's comparison) or dropped (FlashAvatar)."""
+    pose_on: Literal["camera", "neck"] = "camera"
+    """Where the head pose acts: on the camera (the authors), or on the neck too, so that the torso is still."""
+    condition: Literal["face", "face_and_pose"] = "face"
+    """What the network sees: facial parameters (the authors), or the head pose within its training range too."""
+
+    octaves: int = 8
+    """Octaves of the positional encoding, sin and cos of 2ᵏx, x in m (code)."""
+    hidden: int = 256
+    """Width of the hidden layers (code)."""
+    depth: int = 6
+    """Number of hidden layers (code)."""
+    first_offsets: Literal["random", "none"] = "random"
+    """Offsets to begin with: those of a random network (code), or none."""
+    first_colors: Literal["grey", "frames"] = "grey"
+    """Colours to begin with: grey (code), or read off a few training frames."""
+
+    network_rate: float = 1e-4
+    """Learning rate of the network (code)."""
+    scale_rate: float = 5e-3
+    """Learning rate of the logarithms of scales (code)."""
+    rotation_rate: float = 1e-3
+    """Learning rate of quaternions (code)."""
+    opacity_rate: float = 0.05
+    """Learning rate of opacity logits (code)."""
+    color_rate: float = 2.5e-3
+    """Learning rate of the constant spherical harmonic; the others learn at a 20th (code)."""
+    sh_degree: int = 3
+    """Highest degree of the spherical harmonics, 0 to 3 (code)."""
+    sh_iterations: int = 500
+    """Iterations between two rises of the degree in use (code)."""
+
+    huber_delta: float = 0.1
+    """Difference from which the Huber loss is linear (paper, code)."""
+    mouth_weight: float = 40.0
+    """Weight of the Huber loss inside the lips, on top of that of the whole image (paper, code)."""
+    perceptual_weight: float = 0.02
+    """Weight of the perceptual loss; 0.05 of LPIPS in the code, of which this project's is about 2.5 times."""
+    perceptual_iterations: int = 15_000
+    """Iterations before the perceptual loss begins (code)."""
+    perceptual_mode: Literal["image", "crops"] = "image"
+    """Perceptual loss on the whole image in every step (code), or on crops in some at the same expected weight."""
+    crop_side: int = 128
+    """Side of a crop, px."""
+    crop_probability: float = 0.2
+    """Share of the steps with a crop."""
+
+
+VARIANTS: dict[str, dict[str, Any]] = {"uv_256": {"texels": 256}}
+
+SHORT: dict[str, Any] = {
+    "pose_on": "neck",
+    "condition": "face_and_pose",
+    "first_offsets": "none",
+    "first_colors": "frames",
+    "network_rate": 1e-3,
+    "perceptual_mode": "crops",
+    "crop_side": 96,
+    "crop_probability": 0.1,
+}
+"""What a training of a few thousand steps on a CPU changes."""
+
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+
+
+def build(config: Config, scene: Scene) -> FlashAvatar:
+    """The avatar before its first step."""
+    avatar = FlashAvatar(config, scene).to(scene.background.device)
+    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
+        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
+        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    return avatar
+
+
+class FlashAvatar(nn.Module):
+    """The avatar: rows of Gaussians at places on the mesh, the network that moves them, the number of steps done."""
+
+    steps_done: Tensor
+
+    def __init__(self, config: Config, scene: Scene) -> None:
+        super().__init__()
+        self.config, self.scene = config, scene
+        self.head: HeadModel = scene.head
+        self.poses = HeadPoses.of(self.head, scene.drives)
+        samples = surface_samples(config, scene, self.poses)
+        self.network = make_network(config, scene)
+        self.network_optimizer = torch.optim.Adam(self.network.parameters(), config.network_rate, fused=True)
+        self.rows = first_rows(config, samples)
+        self.crops = CropSampler(config.crop_side, config.crop_probability)
+        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
+        self._perceptual: list[PerceptualLoss] = []
+        self._kept_encoding: Tensor | None = None
+        self.register_load_state_dict_post_hook(lambda *_: self._forget())
+        drive = scene.drives[0] if scene.drives else self.head.neutral_drive()
+        self.rows.replace("log_scales", spacing(self.gaussians(drive).means).log()[:, None].expand(-1, 3))
+
+    def gaussians(self, drive: Drive) -> Gaussians:
+        """The avatar posed by `drive`, in world space."""
+        offsets = self.network(self._encoding(), self._condition(drive)).tanh()
+        rows = self.rows
+        placed = moved(self._places(drive), rows["quats"], rows["log_scales"], offsets)
+        return Gaussians(*placed, rows["opacity_logits"].sigmoid(), self._colors(), self._sh_degree())
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
+        """Huber loss of the image and of the mouth, and late the perceptual term."""
+        config = self.config
+        mask = self._mouth(frame)
+        terms = {
+            "huber": huber(rendering.image, frame.image, config.huber_delta),
+            "mouth": config.mouth_weight * huber(rendering.image * mask, frame.image * mask, config.huber_delta),
+        }
+        if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps):
+            terms.update(self._perceptual_term(frame, rendering, step))
+        return terms
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """Adam on the rows and Adam on the network."""
+        return [self.rows.optimizer, self.network_optimizer]
+
+    @torch.no_grad()
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        """The stage of the next step; rates and rows stay as they are."""
+        self.steps_done.fill_(step)
+
+    def notes(self) -> dict[str, str]:
+        """What a reader of the results must know: where Gaussians are, and which features the perceptual loss used."""
+        layout = self.config.layout if self.head.uv is not None else "strip"
+        found = {"texture_layout": f"{layout}, {len(self.rows)} texels"}
+        return {**found, "perceptual_loss": self._perceptual[0].name} if self._perceptual else found
+
+    def _samples(self) -> SurfaceSamples:
+        return SurfaceSamples(self.rows["face"], self.rows["weights"])
+
+    @torch.no_grad()
+    def _places(self, drive: Drive) -> Float[Tensor, "N 3"]:
+        """The Gaussians' places on the posed mesh, m."""
+        vertices = self.head.vertices(drive)
+        if self.config.pose_on == "neck":
+            vertices = self.poses.hold_torso(vertices, drive, self.head)
+        return self._samples().points(vertices, self.head.faces)
+
+    @torch.no_grad()
+    def _encoding(self) -> Float[Tensor, "N D"]:
+        """The encoded neutral places; they never change."""
+        if self._kept_encoding is None or self._kept_encoding.device != self.rows["weights"].device:
+            self._kept_encoding = encoded(
+                self._samples().points(self.head.neutral(), self.head.faces), self.config.octaves
+            )
+        return self._kept_encoding
+
+    def _forget(self) -> None:
+        self._kept_encoding = None
+
+    def _condition(self, drive: Drive) -> Float[Tensor, " C"]:
+        """Facial parameters, with the head pose if wanted."""
+        face = self.head.condition(drive)
+        return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
+
+    def _colors(self) -> Float[Tensor, "N K 3"]:
+        rows = self.rows
+        return torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
+
+    def _sh_degree(self) -> int:
+        """Degree in use: one more every `sh_iterations`."""
+        interval = max(scaled(self.config.sh_iterations, self.scene.steps), 1)
+        return min(int(self.steps_done) // interval, self.config.sh_degree)
+
+    @torch.no_grad()
+    def _mouth(self, frame: Frame) -> Float[Tensor, "H W 1"]:
+        """1 inside the outline of the lips (of the region `mouth` where a head does not name its lips)."""
+        height, width = frame.image.shape[:2]
+        name = next((name for name in ("lips", "mouth") if name in self.head.regions), None)
+        if name is None:
+            return frame.image.new_zeros(height, width, 1)
+        lips = self.head.vertices(frame.drive)[self.head.regions[name]]
+        return hull_mask(project(lips, frame.camera.intrinsics, frame.camera.world_to_camera), height, width)
+
+    def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
+        """The perceptual loss of the foreground, or of a crop of it at 1/chance of the weight."""
+        if not self._perceptual:
+            self._perceptual.append(perceptual_loss().to(frame.image.device))
+        weight, window = self.config.perceptual_weight, (slice(None), slice(None))
+        if self.config.perceptual_mode == "crops":
+            height, width = frame.image.shape[:2]
+            drawn = self.crops.draw(height, width, seeded(self.scene.seed, 3, step), mask_boxes(self._mouth(frame)))
+            if drawn is None:
+                return {}
+            window, weight = drawn, weight / self.crops.probability
+        ours, theirs = (image * frame.alpha for image in (rendering.image, frame.image))
+        return {"perceptual": weight * self._perceptual[0](ours[window], theirs[window])}
+
+
+class Moved(NamedTuple):
+    """Geometry of Gaussians in the world: m, unit quaternions wxyz, m."""
+
+    means: Float[Tensor, "N 3"]
+    quats: Float[Tensor, "N 4"]
+    scales: Float[Tensor, "N 3"]
+
+
+def moved(
+    places: Float[Tensor, "N 3"],
+    quats: Float[Tensor, "N 4"],
+    log_scales: Float[Tensor, "N 3"],
+    offsets: Float[Tensor, "N 10"],
+) -> Moved:
+    """Gaussians moved by the network's outputs after tanh: metres, a quaternion, factors of the logarithm of scales.
+
+    The real part of the quaternion is exp of its output and therefore positive; the factors are exp of theirs, from
+    1/e to e. They multiply the *logarithm* of the scale (code), so that their effect depends on the unit of length.
+    """
+    turn = torch.cat((offsets[:, 3:4].exp(), offsets[:, 4:7]), dim=-1)
+    turned = normalize(quaternion_multiply(quats, turn), dim=-1)
+    return Moved(places + offsets[:, :3], turned, (log_scales * offsets[:, 7:].exp()).exp())
+
+
+def encoded(points: Float[Tensor, "N 3"], octaves: int) -> Float[Tensor, "N D"]:
+    """The points (m) and, octave by octave, sines and cosines of 2ᵏx, without π."""
+    angles = points[:, None] * 2.0 ** torch.arange(octaves, device=points.device, dtype=points.dtype)[:, None]
+    return torch.cat((points, torch.stack((angles.sin(), angles.cos()), dim=2).flatten(1)), dim=-1)
+
+
+def scaled(iteration: int, steps: int) -> int:
+    """An iteration constant of the authors' 150,000 scaled to a training of `steps`."""
+    return round(iteration * steps / ITERATIONS)
+
+
+@torch.no_grad()
+def spacing(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+    """Root of the mean squared distance to the three nearest neighbours, m; 0.3 mm at least (3DGS)."""
+    found, _ = KDTree(points.cpu().numpy()).query(points.cpu().numpy(), k=4)
+    distances = torch.as_tensor(np.asarray(found)[:, 1:]).to(points)
+    return distances.square().mean(-1).clamp_min(1e-7).sqrt()
+
+
+def make_network(config: Config, scene: Scene) -> ConditionedPerceptron:
+    """The network, with torch's default start or an end of zeros."""
+    conditions = len(scene.head.condition(scene.head.neutral_drive()))
+    conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
+    features = 3 + 6 * config.octaves
+    network = ConditionedPerceptron(features, conditions, config.hidden, config.depth, 10, seeded(scene.seed, 5))
+    if config.first_offsets == "none":
+        for parameter in network.layers[-1].parameters():
+            nn.init.zeros_(parameter)
+    return network.to(scene.background.device)
+
+
+def first_rows(config: Config, samples: SurfaceSamples) -> Rows:
+    """Unturned, grey, nearly transparent Gaussians; scales follow from where the network first puts them."""
+    count, like = len(samples.face), samples.weights
+    learnable = {
+        "quats": Column(like.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), config.rotation_rate),
+        "log_scales": Column(like.new_zeros(count, 3), config.scale_rate),
+        "opacity_logits": Column(like.new_full((count,), 0.1).logit(), config.opacity_rate),
+        "sh": Column(like.new_zeros(count, 1, 3), config.color_rate),
+    }
+    if config.sh_degree:
+        rest = like.new_zeros(count, (config.sh_degree + 1) ** 2 - 1, 3)
+        learnable["sh_rest"] = Column(rest, config.color_rate / 20)
+    return Rows(learnable, {"face": samples.face, "weights": samples.weights})
+
+
+def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSamples:
+    """Where Gaussians sit; fewer texels along the edge if all of them were more than the training allows."""
+    head = scene.head
+    allowed = torch.ones(len(head.faces), dtype=torch.bool, device=head.faces.device)
+    if config.boundary == "drop":
+        rim = head.regions.get("boundary")
+        touching = open_rim(head.template, head.faces) if rim is None else torch.isin(head.faces, rim).any(-1)
+        allowed = ~touching
+    if config.layout == "strip" or head.uv is None:
+        room = face_areas(head.neutral(), head.faces) * allowed
+        room = room * torch.where(_ever_seen(scene, poses), 1.0, config.unseen_room)
+        count = min(round(config.texels**2 * FLAME_COVERAGE), scene.max_gaussians)
+        return strip_samples(head.neutral(), head.faces, room, count)
+    side = config.texels
+    while True:
+        samples = texel_samples(head.uv, side)
+        kept = allowed[samples.face]
+        if int(kept.sum()) <= scene.max_gaussians:
+            return SurfaceSamples(samples.face[kept], samples.weights[kept])
+        side = min(side - 1, int(side * (scene.max_gaussians / int(kept.sum())) ** 0.5))
+
+
+def _ever_seen(scene: Scene, poses: HeadPoses) -> Tensor:
+    """Triangles that some training frame can show; all if there are no frames."""
+    if not scene.drives:
+        return torch.ones(len(scene.head.faces), dtype=torch.bool, device=scene.head.faces.device)
+    chosen = spaced(tuple(range(len(scene.drives))), VIEWS)
+    posed = [poses.hold_torso(scene.head.vertices(scene.drives[row]), scene.drives[row], scene.head) for row in chosen]
+    return ever_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)
+
+
+def mask_boxes(mask: Float[Tensor, "H W 1"]) -> list[tuple[float, float, float, float]]:
+    """The bounds of a mask as one box (left, top, right, bottom, px), or none if it is empty."""
+    rows, columns = mask[:, :, 0].any(1).nonzero(), mask[:, :, 0].any(0).nonzero()
+    if not len(rows):
+        return []
+    return [(float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1))]
