@@ -11,9 +11,9 @@ from torch import Tensor
 from benchmarks.measure import Timing, cores, interleaved, threads
 from benchmarks.step_scene import StepScene
 from ggavatar.binding import bind, bind_in_torch
-from ggavatar.dssim import dssim, dssim_in_torch
+from ggavatar.dssim import image_terms, image_terms_in_torch
 from ggavatar.fields import HashTriplane, lookup_in_torch
-from ggavatar.losses import l1, position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
+from ggavatar.losses import position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
 from ggavatar.offsets import Offsets, refine, refine_in_torch
 from ggavatar.perceptron import in_torch, perceptron
 
@@ -37,13 +37,9 @@ def pieces(scene: StepScene) -> dict[str, tuple[Call, Call]]:
     ]
     shape = drawn[:3]
     return {
-        "dssim": (
-            backward(lambda: [dssim(image, scene.kept_target)]),
-            backward(lambda: [dssim_in_torch(image, scene.kept_target)]),
-        ),
-        "l1": (
-            backward(lambda: [l1(image, scene.target)]),
-            backward(lambda: [torch.nn.functional.l1_loss(image, scene.target)]),
+        "image_terms": (
+            backward(lambda: image_terms(image, scene.kept_target, 0.2)),
+            backward(lambda: image_terms_in_torch(image, scene.kept_target, (0.8, 0.2))),
         ),
         "regularisers": (
             backward(lambda: [position_regulariser(rows["means"], visible), scale_regulariser(scales, visible)]),

@@ -15,7 +15,7 @@ from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry import TriangleFrames, look_at, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
-from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
 from ggavatar.offsets import Offsets, refine
 from ggavatar.render import cpu
 
@@ -79,7 +79,7 @@ class StepScene:
     def objective(self, drawn: Rendering) -> Tensor:
         """The paper's objective without the perceptual term."""
         visible = drawn.radii > 0
-        colour = 0.8 * l1(drawn.image, self.target) + 0.2 * dssim(drawn.image, self.kept_target)
+        colour = sum(image_terms(drawn.image, self.kept_target, 0.2))
         position = position_regulariser(self.rows["means"], visible)
         return colour + 0.01 * position + scale_regulariser(self.rows["log_scales"].exp(), visible)
 

@@ -1,15 +1,15 @@
-"""Structural dissimilarity as a training loss: 1 − SSIM in the variant of 3D Gaussian Splatting."""
+"""The image loss (GGAvatar Eq. 13): L1 and structural dissimilarity, 1 − SSIM as in 3D Gaussian Splatting."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Float32
 from numpy import ndarray
 from torch import Tensor
-from torch.nn.functional import conv2d
+from torch.nn.functional import conv2d, l1_loss
 
 from ggavatar.acceleration import compiled_for
 
@@ -41,6 +41,29 @@ class DssimTarget:
         return DssimTarget(image, mean.contiguous(), square_mean.contiguous())
 
 
+class ImageTerms(NamedTuple):
+    """The two weighed terms of the image loss."""
+
+    l1: Float[Tensor, ""]
+    dssim: Float[Tensor, ""]
+
+
+def image_terms(
+    image: Float[Tensor, "H W C"], target: DssimTarget | Float[Tensor, "H W C"], dssim_share: float
+) -> ImageTerms:
+    """(1 − λ1) · mean |image − target| and λ1 · `dssim(image, target)`, found in one sweep.
+
+    Args:
+        image: The drawn image; the gradient flows here only.
+        target: The ground truth, best as a `DssimTarget` if it is compared with more than once.
+        dssim_share: λ1, in [0, 1].
+
+    References:
+        GGAvatar (Li et al. 2024), Eq. 13.
+    """
+    return _image_terms(image, target, (1 - dssim_share, dssim_share))
+
+
 def dssim(image: Float[Tensor, "H W C"], target: DssimTarget | Float[Tensor, "H W C"]) -> Float[Tensor, ""]:
     """1 − mean SSIM over pixels and channels, in [0, 2].
 
@@ -49,15 +72,26 @@ def dssim(image: Float[Tensor, "H W C"], target: DssimTarget | Float[Tensor, "H 
 
     Args:
         image: The drawn image; the gradient flows here only.
-        target: The ground truth, best as a `DssimTarget` kept from step to step.
+        target: The ground truth, best as a `DssimTarget` if it is compared with more than once.
 
     References:
         Wang et al. 2004; Kerbl et al. 2023 (zero padding, no sample covariance).
     """
+    return _image_terms(image, target, (0.0, 1.0)).dssim
+
+
+def _image_terms(image: Tensor, target: DssimTarget | Tensor, weights: tuple[float, float]) -> ImageTerms:
     target = target if isinstance(target, DssimTarget) else DssimTarget.of(target)
     if image.shape[-1] == 3 and compiled_for(image, target.image):
-        return cast(Tensor, _CompiledDssim.apply(image, target))
-    return dssim_in_torch(image, target)
+        return ImageTerms(*_CompiledTerms.apply(image, target, weights))
+    return image_terms_in_torch(image, target, weights)
+
+
+def image_terms_in_torch(
+    image: Float[Tensor, "H W C"], target: DssimTarget, weights: tuple[float, float]
+) -> ImageTerms:
+    """Both terms, weighed, in plain torch: any dtype and device."""
+    return ImageTerms(weights[0] * l1_loss(image, target.image), weights[1] * dssim_in_torch(image, target))
 
 
 def dssim_in_torch(image: Float[Tensor, "H W C"], target: DssimTarget) -> Float[Tensor, ""]:
@@ -81,25 +115,30 @@ def _blur(maps: Float[Tensor, "H W K"]) -> Float[Tensor, "H W K"]:
     return conv2d(maps.permute(2, 0, 1)[None], kernel, padding=WINDOW // 2, groups=count)[0].permute(1, 2, 0)
 
 
-class _CompiledDssim(torch.autograd.Function):
-    """The compiled kernel; the gradient is found in the forward sweep, since only a factor is missing."""
+class _CompiledTerms(torch.autograd.Function):
+    """The compiled kernel; the gradient of the sum is found in the forward sweep, since only a factor is missing."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: DssimTarget) -> Tensor:
+    def forward(ctx: Any, image: Tensor, target: DssimTarget, weights: tuple[float, float]) -> tuple[Tensor, Tensor]:
         from ggavatar import dssim_kernel
 
-        wanted = ctx.needs_input_grad[0]
+        wanted, size = ctx.needs_input_grad[0], image.numel()
         gradient = torch.empty(image.shape if wanted else (0, *image.shape[1:]))
-        total = dssim_kernel.compare(
-            *(_matrix(a) for a in (image, target.image, target.mean, target.square_mean, gradient))
-        )
-        ctx.save_for_backward(gradient)
-        return image.new_tensor(1 - total / image.numel())
+        lines = (_matrix(a) for a in (image, target.image, target.mean, target.square_mean))
+        factors = weights[0] / size, -weights[1] / size
+        difference, similarity = dssim_kernel.compare(*lines, factors, _matrix(gradient))
+        ctx.save_for_backward(image, gradient)
+        ctx.target, ctx.weights = target, weights
+        return image.new_tensor(weights[0] * difference / size), image.new_tensor(weights[1] * (1 - similarity / size))
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        (gradient,) = ctx.saved_tensors
-        return gradient * upstream, None
+    def backward(ctx: Any, to_l1: Tensor, to_dssim: Tensor) -> tuple[Tensor, None, None]:
+        image, gradient = ctx.saved_tensors
+        factor, more = to_dssim.item(), to_l1.item() - to_dssim.item()
+        if more and ctx.weights[0]:  # the two terms do not count alike
+            signs = (image - ctx.target.image).sign() * (ctx.weights[0] / image.numel())
+            return factor * gradient + more * signs, None, None
+        return gradient if factor == 1 else factor * gradient, None, None
 
 
 def _compiled_target(image: Tensor) -> DssimTarget:

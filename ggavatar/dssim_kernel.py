@@ -1,4 +1,6 @@
-"""Structural similarity and its gradient in one sweep over stripes of an image (twin: `dssim.dssim_in_torch`).
+"""Absolute differences, structural similarity and their gradient in one sweep over stripes of an image.
+
+The twin is `dssim.image_terms_in_torch`.
 
 An image is a matrix of H rows and W·3 floats; a neighbour across is 3 floats away. A stripe's rows run through two
 rings of 11 lines: blurred inputs, which give a line of similarities and their derivatives, and blurred derivatives,
@@ -97,24 +99,35 @@ def _similarity(blurred, mean_y, square_y, factor, sums, derivatives):
 
 
 @inlined
-def _gradient(down, x, y, factor, out):
-    """One line of the gradient from the blurred derivatives."""
-    two = np.float32(2)
+def _differences(x, y, sums):
+    """Add a line of |x − y| to `sums`."""
     for i in range(np.uint64(x.size)):
-        out[i] = factor * (down[0, i] + two * x[i] * down[1, i] + y[i] * down[2, i])
+        sums[i] += abs(x[i] - y[i])
+
+
+@inlined
+def _gradient(down, x, y, factors, out):
+    """One line of the gradient: the sign of the difference, and what the blurred derivatives give."""
+    two, zero, absolute, similar = np.float32(2), np.float32(0), factors[0], factors[1]
+    for i in range(np.uint64(x.size)):
+        difference = x[i] - y[i]
+        sign = (absolute if difference > zero else zero) - (absolute if difference < zero else zero)
+        out[i] = sign + similar * (down[0, i] + two * x[i] * down[1, i] + y[i] * down[2, i])
 
 
 @kernel
-def compare_stripe(x, y, mean_y, square_y, weights, first, last, gradient):
-    """Sum of SSIM over rows `first` … `last` − 1; if `gradient` has rows, these receive the gradient of −mean(SSIM)."""
-    height, width = x.shape
+def compare_stripe(x, y, mean_y, square_y, weights, rows, factors, gradient):
+    """Sums of |x − y| and of SSIM over the rows from the first of `rows` to before the second.
+
+    If `gradient` has rows, these receive the gradient of the two sums weighed by `factors`.
+    """
+    (height, width), (first, last) = x.shape, rows
     wanted = gradient.shape[0] > 0
-    factor = np.float32(-1.0 / (height * width))
     padded = np.zeros((3, width + 2 * REACH * CHANNELS), np.float32)
     inputs = np.zeros((3, WINDOW, width), np.float32)
     outputs = np.zeros((3, WINDOW, width), np.float32)
     line = np.empty((3, width), np.float32)
-    sums = np.zeros(width, np.float32)
+    sums, differences = np.zeros(width, np.float32), np.zeros(width, np.float32)
     for row in range(first - 2 * REACH, last + 2 * REACH):
         _take_row(x, y, row, padded, inputs, weights)
         middle = row - REACH
@@ -128,6 +141,8 @@ def compare_stripe(x, y, mean_y, square_y, weights, first, last, gradient):
                 _blur_down(inputs[k], line[k], weights, (slot + WINDOW - REACH) % WINDOW)
             counted = np.float32(first <= middle < last)
             _similarity(line, mean_y[middle], square_y[middle], counted, sums, padded)
+            if first <= middle < last:
+                _differences(x[middle], y[middle], differences)
             if wanted:
                 for k in range(3):
                     _blur_across(padded[k], outputs[k, slot], weights)
@@ -135,8 +150,8 @@ def compare_stripe(x, y, mean_y, square_y, weights, first, last, gradient):
         if wanted and done >= first:
             for k in range(3):
                 _blur_down(outputs[k], line[k], weights, (slot + 1) % WINDOW)
-            _gradient(line, x[done], y[done], factor, gradient[done])
-    return sums.astype(np.float64).sum()
+            _gradient(line, x[done], y[done], factors, gradient[done])
+    return differences.astype(np.float64).sum(), sums.astype(np.float64).sum()
 
 
 @kernel
@@ -170,16 +185,19 @@ Lines = Float32[ndarray, "_ _"]
 """An image as rows of W·3 floats."""
 
 
-def compare(x: Lines, y: Lines, mean_y: Lines, square_y: Lines, gradient: Lines) -> float:
-    """Sum of SSIM of `x` with `y`; `gradient`, unless it has no rows, receives the gradient of −mean(SSIM)."""
-    weights = window()
-    sums = [0.0] * len(_stripes(x))
+def compare(
+    x: Lines, y: Lines, mean_y: Lines, square_y: Lines, factors: tuple[float, float], gradient: Lines
+) -> tuple[float, float]:
+    """Sums of |x − y| and of SSIM; `gradient`, unless it has no rows, receives that of both, weighed by `factors`."""
+    weights, both = window(), np.array(factors, np.float32)
+    stripes = _stripes(x)
+    sums = [(0.0, 0.0)] * len(stripes)
 
     def task(index: int) -> None:
-        sums[index] = compare_stripe(x, y, mean_y, square_y, weights, *_stripes(x)[index], gradient)
+        sums[index] = compare_stripe(x, y, mean_y, square_y, weights, stripes[index], both, gradient)
 
     run(task, len(sums))
-    return sum(sums)
+    return sum(part[0] for part in sums), sum(part[1] for part in sums)
 
 
 def prepare(y: Lines, mean: Lines, square: Lines) -> None:

@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn.functional import huber_loss, l1_loss
 
 from ggavatar.acceleration import compiled_for
-from ggavatar.dssim import DssimTarget, dssim
+from ggavatar.dssim import DssimTarget, dssim, image_terms
 
-__all__ = ["DssimTarget", "dssim", "huber", "l1", "position_regulariser", "scale_regulariser"]
+__all__ = ["DssimTarget", "dssim", "huber", "image_terms", "l1", "position_regulariser", "scale_regulariser"]
 
 
 def l1(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"]) -> Float[Tensor, ""]:

@@ -26,7 +26,7 @@ from ggavatar.density import DensityControl, accumulate, statistics
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry import TriangleFrames, project, triangle_frames
 from ggavatar.head.model import HeadModel
-from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
 from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
 from ggavatar.pose import POSE_FEATURES, HeadPoses
@@ -214,8 +214,7 @@ class GGAvatar(nn.Module):
         visible = rendering.radii > 0
         local_scales = rows["log_scales"].exp()
         terms = {
-            "l1": (1 - config.dssim_share) * l1(rendering.image, frame.image),
-            "dssim": config.dssim_share * dssim(rendering.image, frame.image),
+            **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),  # Eq. 13
             "position": config.position_weight
             * position_regulariser(rows["means"], visible, config.position_threshold),
             "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),

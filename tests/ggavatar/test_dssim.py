@@ -7,7 +7,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from ggavatar.dssim import DssimTarget, dssim, dssim_in_torch
+from ggavatar.dssim import DssimTarget, dssim, dssim_in_torch, image_terms, image_terms_in_torch
 
 SIZES = [(64, 48), (150, 37), (5, 3), (1, 1), (129, 20)]
 """Height and width; smaller than the window, and across the border of a stripe."""
@@ -114,3 +114,25 @@ def test_non_contiguous_images() -> None:
     dssim(plain, target).backward()
     assert turned.grad is not None and plain.grad is not None
     assert torch.equal(turned.grad, plain.grad)
+
+
+@pytest.mark.parametrize("upstream", [(1.0, 1.0), (3.0, 3.0), (0.5, 2.0), (0.0, 1.0)])
+def test_image_terms_and_their_gradient_equal_float64(upstream: tuple[float, float]) -> None:
+    generator = torch.Generator().manual_seed(4)
+    image, target = (torch.rand(150, 37, 3, generator=generator) for _ in range(2))
+    image[:9, :9] = target[:9, :9]  # no sign where there is no difference
+    drawn, wide = image.clone().requires_grad_(), image.double().requires_grad_()
+    terms = image_terms(drawn, target, 0.2)
+    expected = image_terms_in_torch(wide, DssimTarget.of(target.double()), (0.8, 0.2))
+    for found, term, factor in zip(terms, expected, upstream, strict=True):
+        assert found.item() == pytest.approx(term.item(), rel=1e-5)
+        (factor * term).backward(retain_graph=True)
+    (upstream[0] * terms.l1 + upstream[1] * terms.dssim).backward()
+    assert drawn.grad is not None and wide.grad is not None
+    assert torch.allclose(drawn.grad.double(), wide.grad, atol=1e-5 * float(wide.grad.abs().max()))
+
+
+def test_a_share_of_zero_is_plain_l1() -> None:
+    image, target = torch.rand(12, 9, 3, requires_grad=True), torch.rand(12, 9, 3)
+    terms = image_terms(image, target, 0.0)
+    assert terms.l1.item() == pytest.approx((image - target).abs().mean().item(), rel=1e-6) and terms.dssim.item() == 0
