@@ -20,7 +20,7 @@ TALL = 45
 
 FITTED = (
     r"  \resizebox{\ifdim\width>\linewidth \linewidth\else\width\fi}{!}{%",
-    r"  \resizebox{!}{\ifdim\height>0.75\textheight 0.75\textheight\else\height\fi}{%",
+    r"  \resizebox*{!}{\ifdim\totalheight>0.75\textheight 0.75\textheight\else\totalheight\fi}{%",
 )
 """Boxes that shrink what they hold to the width and most of the height of a page, and never enlarge it."""
 

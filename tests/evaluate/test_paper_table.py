@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from evaluations import evaluation
+from evaluations import PROTOCOL, evaluation
 
 from evaluate.comparison_table import studies
 from evaluate.outputs import build_tables
@@ -180,8 +180,11 @@ def test_the_papers_tables_compile_and_print_every_cell(tmp_path: Path) -> None:
 def test_our_tables_compile_and_fit_the_page(tmp_path: Path, options: str) -> None:
     runs = [evaluation(f"50% of #{k} & {{B_b}}", m) for k in range(5) for m in ("ggavatar", "x_y ☃", "[a]*")]
     runs += [evaluation("Anna", "ggavatar", (33.0 + k, -1.5), lpips=(), seed=k) for k in range(2)]
-    tables = [*build_tables(runs, paper=True), *build_tables(runs[:4], "ablation", paper=True)]
-    assert max(len(table.rows) for table in tables) > TALL
+    regions = PROTOCOL.override(regions=tuple(f"part{k}" for k in range(30)))
+    long = build_tables([evaluation("Anna", "ggavatar", protocol=regions)])
+    tables = [*build_tables(runs, paper=True), *build_tables(runs[:4], "ablation", paper=True), *long]
+    assert len({row.section for row in tables[2].rows}) > 10 and len({row.section for row in tables[-1].rows}) == 1
+    assert min(len(tables[2].rows), len(tables[-1].rows)) > TALL
     text = pdf_pages(tmp_path, tables, options)
     assert "50% of #4 & {B_b}" in text
     assert "no weights: alexnet_features.pth" in " ".join(text.split())
