@@ -12,11 +12,12 @@ from typing import Any
 from rich.console import Console
 
 from evaluate.faces import FaceMetrics
+from evaluate.gates import limits_of
 from evaluate.options import Options, parse
 from evaluate.outputs import build_tables, write_copies, write_tables
 from evaluate.pairing import pair_folders
 from evaluate.protocol import Protocol
-from evaluate.regression import Check, check_limits, compare, parse_limits, to_github, write_junit
+from evaluate.regression import Check, to_github, write_junit
 from evaluate.render_table_terminal import show
 from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
@@ -36,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _evaluate(options: Options) -> int:
     """Score everything named, write and print the tables, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
-    limits = _limits(options)
+    limits = limits_of(options.gates)
     evaluations, written = _gather(options, console)
     tables = build_tables(evaluations, options.layout, options.with_paper)
     folder = _table_folder(options)
@@ -47,11 +48,13 @@ def _evaluate(options: Options) -> int:
         console.print()
         for table in (table for table in tables if table.name != "detail"):
             show(table, console)
-    checks = _checks(options, evaluations, limits)
+    checks = limits.checks(evaluations)
     if options.gates.junit:
         write_junit(options.gates.junit, checks)
         written.append(options.gates.junit)
     if not options.quiet:
+        for check in checks if not options.gates.github else ():
+            console.print(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}", markup=False)
         for path in written:
             console.print(f"wrote {path}", markup=False, highlight=False)
     return _finish(options, evaluations, written, checks)
@@ -77,24 +80,6 @@ def _finish(options: Options, evaluations: list[Evaluation], written: list[Path]
     if fallen := [check for check in checks if not check.passed]:
         raise GateError("; ".join(f"{check.case}: {check.message}" for check in fallen))
     return 0
-
-
-def _limits(options: Options) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Floors, ceilings and tolerances, checked before anything takes time."""
-    gates = options.gates
-    return (
-        parse_limits(gates.fail_below, "--fail-below"),
-        parse_limits(gates.fail_above, "--fail-above"),
-        parse_limits(gates.tolerance, "--tolerance"),
-    )
-
-
-def _checks(options: Options, evaluations: Sequence[Evaluation], limits: tuple[dict[str, float], ...]) -> list[Check]:
-    floors, ceilings, tolerances = limits
-    checks = check_limits(evaluations, floors, ceilings)
-    if options.gates.compare:
-        checks += compare(evaluations, [read_results(path) for path in options.gates.compare], tolerances)
-    return checks
 
 
 def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[Path]]:

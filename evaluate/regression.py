@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,16 +34,23 @@ def parse_limits(texts: Sequence[str], flag: str) -> dict[str, float]:
     limits = {}
     for text in texts:
         name, equals, number = text.partition("=")
-        try:
-            limits[name] = float(number)
-        except ValueError as error:
-            raise InputError(f"{flag}: expected METRIC=NUMBER such as psnr=30, got {text!r}") from error
+        limits[name] = _finite(number)
+        if not math.isfinite(limits[name]):
+            raise InputError(f"{flag}: expected METRIC=NUMBER such as psnr=30, got {text!r}")
         base = name.partition("@")[0]
         if not equals or (base not in METRICS and base not in ("ssim", "lpips")):
             close = difflib.get_close_matches(base, list(METRICS), n=1)
             hint = f" (perhaps {close[0]!r}?)" if close else ""
             raise InputError(f"{flag}: unknown metric {name!r}{hint}; known are {', '.join(METRICS)}")
     return limits
+
+
+def _finite(text: str) -> float:
+    """The number that a text stands for; NaN if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def resolved(name: str, evaluation: Evaluation) -> str:
@@ -70,7 +78,7 @@ def check_limits(
 
 
 def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -> Check:
-    case = f"{evaluation.subject}/{evaluation.method}/{name}"
+    case = f"{_named(evaluation)}/{name}"
     found = evaluation.summary(name)
     if found.mean is None:
         if found.identical and sign > 0:
@@ -80,6 +88,12 @@ def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -
     word = "floor" if sign > 0 else "ceiling"
     state = "holds by" if margin >= 0 else "is missed by"
     return Check(case, margin >= 0, f"{name} is {found.mean:.6g}, the {word} {limit:g} {state} {abs(margin):.6g}")
+
+
+def _named(evaluation: Evaluation) -> str:
+    """Subject and method, and the seed where it is known."""
+    seed = "" if evaluation.seed is None else f"/seed {evaluation.seed}"
+    return f"{evaluation.subject}/{evaluation.method}{seed}"
 
 
 def compare(
@@ -106,7 +120,7 @@ def compare(
                 f"now under {named[0].protocol.id} ({named[0].protocol.digest[:12]}); such numbers do not compare"
             )
         if not matching:
-            checks.append(Check(f"{old.subject}/{old.method}", False, "is in the baseline but was not evaluated"))
+            checks.append(Check(_named(old), False, "is in the baseline but was not evaluated"))
             continue
         limits = {resolved(name, old): value for name, value in tolerances.items()}
         checks += [_against_baseline(matching[0], old, name, limits) for name in old.columns if _has(old, name)]
@@ -119,7 +133,7 @@ def _has(evaluation: Evaluation, name: str) -> bool:
 
 
 def _against_baseline(new: Evaluation, old: Evaluation, name: str, limits: Mapping[str, float]) -> Check:
-    case = f"{new.subject}/{new.method}/{name}"
+    case = f"{_named(new)}/{name}"
     metric = metric_of(name)
     before, now = old.summary(name), new.summary(name)
     if now.mean is None:
@@ -129,7 +143,8 @@ def _against_baseline(new: Evaluation, old: Evaluation, name: str, limits: Mappi
         return Check(case, False, f"{name} was infinite (identical images) and is {now.mean:.6g}")
     tolerance = limits.get(name, metric.tolerance)
     change = now.mean - before.mean if metric.higher_is_better else before.mean - now.mean
-    words = f"{name} was {before.mean:.6g} and is {now.mean:.6g}"
+    moved = new.hashes.get("ground_truth") != old.hashes.get("ground_truth")
+    words = f"{name} was {before.mean:.6g} and is {now.mean:.6g}" + (" (of another ground truth)" if moved else "")
     state = f"worse by {-change:.6g}" if change < 0 else f"better by {change:.6g}"
     return Check(case, change >= -tolerance, f"{words}: {state}, tolerance {tolerance:g}")
 
@@ -155,16 +170,19 @@ def to_junit(checks: Sequence[Check]) -> str:
 def to_github(checks: Sequence[Check]) -> str:
     """Checks as workflow commands that GitHub shows as annotations."""
     return "".join(
-        f"::{'notice' if check.passed else 'error'} title={_command(check.case)}::{_command(check.message)}\n"
+        f"::{'notice' if check.passed else 'error'} title={_property(check.case)}::{_message(check.message)}\n"
         for check in checks
     )
 
 
-def _command(text: str) -> str:
-    """Text without characters that end a workflow command or its property."""
-    for character, code in (("%", "%25"), ("\r", "%0D"), ("\n", "%0A"), (":", "%3A"), (",", "%2C")):
-        text = text.replace(character, code)
-    return text
+def _message(text: str) -> str:
+    """Text on one line, as a workflow command holds it."""
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    """Text without characters that end a property of a workflow command either."""
+    return _message(text).replace(":", "%3A").replace(",", "%2C")
 
 
 def write_junit(path: Path, checks: Sequence[Check]) -> None:

@@ -46,7 +46,7 @@ def test_limits_are_parsed_and_unknown_metrics_get_the_nearest() -> None:
     }
     with pytest.raises(InputError, match="perhaps 'psnr'"):
         parse_limits(["pnsr=30"], "--fail-below")
-    for text in ("psnr", "psnr=high", "psnr="):
+    for text in ("psnr", "psnr=high", "psnr=", "psnr=nan", "psnr=inf"):
         with pytest.raises(InputError, match="METRIC=NUMBER"):
             parse_limits([text], "--fail-below")
 
@@ -89,6 +89,26 @@ def test_what_vanished_fails() -> None:
     assert missing.case == "Anna/m"
 
 
+def test_seeds_have_names_of_their_own_and_are_compared_with_their_like() -> None:
+    seeds = [evaluation("Anna", "m", (30.0 + seed, 31.0 + seed), seed=seed) for seed in (1, 2)]
+    assert [check.case for check in check_limits(seeds, {"psnr": 1.0}, {})] == [
+        "Anna/m/seed 1/psnr",
+        "Anna/m/seed 2/psnr",
+    ]
+    checks = compare(seeds[::-1], seeds, {})
+    assert len({check.case for check in checks}) == len(checks)
+    assert all(check.passed for check in checks)
+    (lower,) = [c for c in compare([seeds[0]], [seeds[1]], {}) if c.case == "Anna/m/seed 1/psnr"]
+    assert not lower.passed
+
+
+def test_another_ground_truth_is_pointed_out() -> None:
+    old = evaluation("Anna", "m")
+    new = dataclasses.replace(old, hashes={"ground_truth": "another"})
+    assert all("(of another ground truth)" in check.message for check in compare([new], [old], {}))
+    assert not any("another" in check.message for check in compare([old], [old], {}))
+
+
 def test_other_protocols_do_not_compare() -> None:
     old = dataclasses.replace(evaluation("Anna", "m"), protocol=PROTOCOL.override(background="black"))
     with pytest.raises(InputError, match="do not compare"):
@@ -114,4 +134,6 @@ def test_junit_holds_every_check() -> None:
 def test_github_annotations_are_one_line_each() -> None:
     lines = to_github(CHECKS).splitlines()
     assert lines[0] == "::notice title=Anna/m/psnr::fine"
-    assert lines[1] == "::error title=Anna/m/ssim::100%25 bad%3A <x>%2C worse%0Aby 1"
+    assert lines[1] == "::error title=Anna/m/ssim::100%25 bad: <x>, worse%0Aby 1"
+    (line,) = to_github([Check("a:b,c/m/psnr", False, "x")]).splitlines()
+    assert line == "::error title=a%3Ab%2Cc/m/psnr::x"
