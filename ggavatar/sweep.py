@@ -1,20 +1,21 @@
 """ggavatar-sweep: train a grid of captures, methods and seeds, then measure it into one table.
 
-Every cell is a run folder of its own, trained by ggavatar-train in a process of its own. What is finished is skipped,
-what was broken off goes on, and a cell that fails does not stop the others.
+Every cell is a run folder of its own, trained by ggavatar-train in a process of its own, here or on the machines of a
+cluster (`ggavatar.sweep_backends`). What is finished is skipped, what was broken off goes on, and a cell that fails
+does not stop the others.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg
@@ -22,6 +23,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ggavatar import registry
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, run_command
 from ggavatar.settings import nearest
+from ggavatar.sweep_backends import Backend, Job, LocalProcesses, Outcome, RayCluster, logged
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,16 @@ class Arguments:
     """Methods and variants, as in ggavatar-train."""
     seeds: tuple[int, ...] = (42,)
     """Seeds; the table gives mean and deviation over them."""
+    backend: Literal["local", "ray"] = "local"
+    """local: processes on this computer; ray: the machines of a Ray cluster, which share the output folder."""
     jobs: int = 1
-    """Cells trained at the same time."""
+    """local: cells trained at the same time."""
+    gpus_per_job: float = 0.0
+    """ray: GPUs of a cell; a fraction shares one."""
+    cpus_per_job: float = 1.0
+    """ray: cores of a cell."""
+    retries: int = 0
+    """How often a cell that failed goes on from its last checkpoint; bad input is not tried again."""
     preset: str | None = None
     """Passed to ggavatar-train, as the next five."""
     steps: int | None = None
@@ -71,6 +81,11 @@ class Cell:
         except (OSError, ValueError, KeyError):
             return False
 
+    @property
+    def log(self) -> Path:
+        """What its training says."""
+        return self.folder.with_suffix(".log")
+
     def command(self, flags: Sequence[str]) -> list[str]:
         """The ggavatar-train that trains it or goes on with it."""
         base = [console_script("ggavatar-train"), str(self.capture.resolve()), self.method, "-o", str(self.folder)]
@@ -87,20 +102,61 @@ def main() -> int:
 
 def sweep(arguments: Arguments) -> int:
     """Train what is missing, report what failed, and print the table; the exit code."""
+    backend = backend_of(arguments)
     cells = grid(arguments)
-    flags = _flags(arguments)
-    with ThreadPoolExecutor(max(arguments.jobs, 1)) as pool:
-        codes = list(pool.map(lambda cell: _train(cell, flags), cells))
-    if EXIT_INTERRUPTED in codes:
+    outcomes = _train_all(cells, _flags(arguments), backend)
+    if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED
-    failed = [(cell, code) for cell, code in zip(cells, codes, strict=True) if code]
-    for cell, code in failed:
-        sys.stderr.write(f"failed with exit code {code}: {cell.folder}; its words are in {_log(cell)}\n")
     trained = [cell.folder for cell in cells if cell.is_finished]
     sys.stdout.write(f"{len(trained)} of {len(cells)} cells trained in {arguments.output}\n")
     sys.stdout.flush()
     measured = _measure(trained, arguments) if trained and not arguments.train_only else 0
-    return EXIT_FAILURE if failed else measured
+    return EXIT_FAILURE if len(trained) < len(cells) else measured
+
+
+def backend_of(arguments: Arguments) -> Backend:
+    """Where the cells are trained; `InputError` for flags that belong to the other backend."""
+    if arguments.retries < 0 or arguments.gpus_per_job < 0 or arguments.jobs < 1:
+        raise InputError("expected --jobs of 1 or more, --retries and --gpus-per-job of 0 or more")
+    if arguments.backend == "ray":
+        if arguments.jobs != 1:
+            raise InputError("expected --jobs with --backend local only: Ray runs as many as the cluster has room for")
+        return RayCluster(arguments.gpus_per_job, arguments.cpus_per_job, arguments.retries)
+    if arguments.gpus_per_job:
+        raise InputError("expected --gpus-per-job with --backend ray only; processes on one computer share its GPUs")
+    return LocalProcesses(arguments.jobs, arguments.retries)
+
+
+def _train_all(cells: Sequence[Cell], flags: Sequence[str], backend: Backend) -> list[Outcome]:
+    """Train the cells that are not finished and say how each ended, as it ends."""
+    missing = {}
+    for cell in cells:
+        if cell.is_finished:
+            sys.stdout.write(f"finished before: {cell.folder}\n")
+        else:
+            missing[str(cell.folder)] = cell
+    sys.stdout.write(f"{len(missing)} of {len(cells)} cells to train\n")
+    sys.stdout.flush()
+    outcomes = []
+    jobs = [Job(name, functools.partial(train_cell, cell, tuple(flags))) for name, cell in missing.items()]
+    for outcome in backend.run(jobs) if jobs else ():
+        outcomes.append(outcome)
+        _tell(outcome, missing[outcome.job], len(outcomes), len(jobs))
+    return outcomes
+
+
+def _tell(outcome: Outcome, cell: Cell, done: int, total: int) -> None:
+    """One line about a cell: on stderr if it failed."""
+    if outcome.code == 0 and cell.is_finished:
+        sys.stdout.write(f"{done} of {total}: trained {cell.folder}\n")
+        sys.stdout.flush()
+        return
+    tries = f" after {outcome.attempts} attempts" if outcome.attempts > 1 else ""
+    what = f"failed with exit code {outcome.code}{tries}"
+    if outcome.code == 0:
+        what = "ended well elsewhere, but its run is not here: -o must be a folder that all machines share"
+    words = f" ({outcome.reason})" if outcome.reason else f"; its words are in {cell.log}"
+    sys.stderr.write(f"{what}: {cell.folder}{words}\n")
 
 
 def grid(arguments: Arguments) -> list[Cell]:
@@ -109,11 +165,12 @@ def grid(arguments: Arguments) -> list[Cell]:
     for method in arguments.methods:
         if method not in known:
             raise InputError(f"unknown method {method!r}{nearest(method, known)}; known are {', '.join(known)}")
+    output = arguments.output.resolve()  # jobs may run elsewhere
     names = [capture.resolve().name for capture in arguments.captures]
     if len(set(names)) != len(names):
         raise InputError(f"expected captures with different folder names, found {', '.join(names)}")
     return [
-        Cell(capture, method, seed, arguments.output / name / method / f"seed-{seed}")
+        Cell(capture.resolve(), method, seed, output / name / method / f"seed-{seed}")
         for capture, name in zip(arguments.captures, names, strict=True)
         for method in arguments.methods
         for seed in arguments.seeds
@@ -132,16 +189,9 @@ def _flags(arguments: Arguments) -> list[str]:
     return flags
 
 
-def _train(cell: Cell, flags: Sequence[str]) -> int:
-    """Train a cell unless it is finished; its output goes to a log beside its folder."""
-    if cell.is_finished:
-        sys.stdout.write(f"finished before: {cell.folder}\n")
-        return 0
-    sys.stdout.write(f"training {cell.folder}\n")
-    sys.stdout.flush()
-    _log(cell).parent.mkdir(parents=True, exist_ok=True)
-    with _log(cell).open("a") as log:
-        return subprocess.run(cell.command(flags), stdout=log, stderr=subprocess.STDOUT, check=False).returncode
+def train_cell(cell: Cell, flags: tuple[str, ...]) -> int:
+    """Train a cell, or go on with it, in a process of its own; its output goes to a log beside its folder."""
+    return logged(cell.command(flags), cell.log)
 
 
 def console_script(name: str) -> str:
@@ -152,10 +202,6 @@ def console_script(name: str) -> str:
             f"expected the command {name} beside {sys.executable}; install the project with pip install -e ."
         )
     return found
-
-
-def _log(cell: Cell) -> Path:
-    return cell.folder.with_suffix(".log")
 
 
 def _measure(runs: Sequence[Path], arguments: Arguments) -> int:
