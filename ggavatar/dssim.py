@@ -124,7 +124,7 @@ class _CompiledTerms(torch.autograd.Function):
 
         wanted, size = ctx.needs_input_grad[0], image.numel()
         gradient = torch.empty(image.shape if wanted else (0, *image.shape[1:]))
-        lines = (_matrix(a) for a in (image, target.image, target.mean, target.square_mean))
+        lines = [_matrix(a) for a in (image, target.image, target.mean, target.square_mean)]
         factors = weights[0] / size, -weights[1] / size
         difference, similarity = dssim_kernel.compare(*lines, factors, _matrix(gradient))
         ctx.save_for_backward(image, gradient)
