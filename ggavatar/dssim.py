@@ -124,9 +124,10 @@ class _CompiledTerms(torch.autograd.Function):
 
         wanted, size = ctx.needs_input_grad[0], image.numel()
         gradient = torch.empty(image.shape if wanted else (0, *image.shape[1:]))
-        lines = [_matrix(a) for a in (image, target.image, target.mean, target.square_mean)]
+        x, y = _matrix(image), _matrix(target.image)
+        means = _matrix(target.mean), _matrix(target.square_mean)
         factors = weights[0] / size, -weights[1] / size
-        difference, similarity = dssim_kernel.compare(*lines, factors, _matrix(gradient))
+        difference, similarity = dssim_kernel.compare(x, y, *means, factors, _matrix(gradient))
         ctx.save_for_backward(image, gradient)
         ctx.target, ctx.weights = target, weights
         return image.new_tensor(weights[0] * difference / size), image.new_tensor(weights[1] * (1 - similarity / size))
