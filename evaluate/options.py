@@ -12,6 +12,7 @@ from evaluate.protocol import PROTOCOLS, Protocol, named
 from ggavatar.errors import InputError
 from ggavatar.formats.source import Source
 from ggavatar.splits import split_name
+from ggavatar.version import answer_version
 
 Alias = tyro.conf.arg
 
@@ -140,6 +141,7 @@ def parse(arguments: list[str] | None) -> Options:
     Raises:
         InputError: Neither runs nor folders, or both, or half a pair.
     """
+    answer_version("ggavatar-eval", arguments)
     options = tyro.cli(Options, prog="ggavatar-eval", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
     given = (options.folders.pred is not None, options.folders.gt is not None)
     if any(given) and not all(given):

@@ -12,6 +12,7 @@ import tyro
 
 from ggavatar.errors import InputError, run_command
 from ggavatar.formats.source import Source, is_gaussian_file
+from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class Options:
 
 def main() -> int:
     """Run the command; the exit code is 0 done, 1 failure, 2 bad input, 130 interrupted."""
+    answer_version("ggavatar-render")
     options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
 
     def body() -> None:

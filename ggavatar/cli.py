@@ -12,6 +12,7 @@ from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
 
 from ggavatar import registry
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError, run_command
+from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class Arguments:
 
 def train() -> int:
     """Entry point of ggavatar-train."""
+    answer_version("ggavatar-train")
     arguments = tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
     return run_command(lambda: _train(arguments))
 

@@ -24,6 +24,7 @@ from ggavatar import registry
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, run_command
 from ggavatar.settings import nearest
 from ggavatar.sweep_backends import Backend, Job, LocalProcesses, Outcome, RayCluster, logged
+from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class Cell:
 
 def main() -> int:
     """Entry point of ggavatar-sweep."""
+    answer_version("ggavatar-sweep")
     arguments = tyro.cli(Arguments, prog="ggavatar-sweep")
     return run_command(lambda: sweep(arguments))
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 
 from ggavatar.errors import GateError, run_command
+from ggavatar.version import answer_version
 from preprocess.options import PrepOptions
 
 
@@ -20,9 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import tyro
 
     given = _dashed_paths(sys.argv[1:] if arguments is None else arguments)
-    if "--version" in given:
-        sys.stdout.write(f"ggavatar-prep {version('ggavatar')}\n")
-        return 0
+    answer_version("ggavatar-prep", given)
     options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
     return run_command(lambda: _prepare(options))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import tyro
 
 from ggavatar.errors import GateError, run_command
+from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class DoctorOptions:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
+    answer_version("ggavatar-doctor", arguments)
     options = tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=None if arguments is None else list(arguments))
     return run_command(lambda: _examine(options))
 

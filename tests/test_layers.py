@@ -120,13 +120,15 @@ def test_our_evaluate_is_the_one_imported() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["ggavatar-demo", "ggavatar-prep", "ggavatar-doctor", "ggavatar-train", "ggavatar-render", "ggavatar-eval"],
+    [f"ggavatar-{name}" for name in ("demo", "prep", "doctor", "train", "sweep", "export", "render", "eval")],
 )
 def test_commands_help_and_refuse_unknown_flags(command: str) -> None:
     entry = {point.name: point for point in importlib.metadata.entry_points(group="console_scripts")}[command]
     start = f"import sys; sys.argv[0] = {command!r}; from {entry.module} import {entry.attr} as main; sys.exit(main())"
     shown = subprocess.run([sys.executable, "-c", start, "--help"], capture_output=True, text=True, check=False)
     assert shown.returncode == 0 and command in shown.stdout
+    version = subprocess.run([sys.executable, "-c", start, "--version"], capture_output=True, text=True, check=False)
+    assert version.returncode == 0 and version.stdout == f"{command} {importlib.metadata.version('ggavatar')}\n"
     refused = subprocess.run(
         [sys.executable, "-c", start, "--no-such-flag"], capture_output=True, text=True, check=False
     )

@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg
 from ggavatar.errors import InputError, run_command
 from ggavatar.formats.capture_formats import capture_formats, export_capture
 from ggavatar.settings import nearest
+from ggavatar.version import answer_version
 
 RUN_FORMATS = ("ply", "splat", "spz", "gaussian-avatars")
 _NEXT = {
@@ -50,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; the exit code is 0 done, 1 failure, 2 bad input."""
     given = None if arguments is None else list(arguments)
     config = (tyro.conf.FlagCreatePairsOff,)
+    answer_version("ggavatar-export", given)
     parsed = tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
     return run_command(lambda: _export(parsed))
 

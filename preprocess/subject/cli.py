@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ggavatar.errors import InputError, run_command
+from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Options:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ggavatar-demo`; returns the exit code."""
+    answer_version("ggavatar-demo", arguments)
     options = tyro.cli(Options, args=arguments, prog="ggavatar-demo", description=Options.__doc__)
     return run_command(lambda: _write(options))
 
