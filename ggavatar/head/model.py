@@ -104,6 +104,11 @@ class HeadModel:
         carrier = linear[self.joint("neck")] if "neck" in self.joint_names else linear[0]
         return posed + lids @ carrier.T + drive.translation
 
+    def joint_transforms(self, drive: Drive) -> tuple[Float[Tensor, "J 3 3"], Float[Tensor, "J 3"]]:
+        """Rotation and offset (m) of every joint: x ↦ R x + o moves what is bound to it alone."""
+        shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
+        return self._joint_transforms(axis_angle_to_matrix(drive.joint_rotations), self.joint_regressor @ shaped)
+
     def _joint_transforms(self, rotations: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
         """World rotation [J, 3, 3] and offset [J, 3] of every joint: x ↦ R x + o moves a vertex bound to it."""
         linear: list[Tensor] = []

@@ -1,0 +1,393 @@
+"""Gaussian Blendshapes (Ma et al. 2024): neutral Gaussians and one linear difference an expression coefficient.
+
+S. Ma, Y. Weng, T. Shao and K. Zhou, "3D Gaussian Blendshapes for Head Avatar Animation", SIGGRAPH 2024, after its text
+and the constants of its public code. Chosen as the fourth baseline because linear blendshapes of Gaussians are the
+fast, real-time family users ask for: a frame costs a weighted sum, no network, and the rig is one animators know.
+
+    1. Neutral Gaussians lie on the neutral mesh; they hang on a triangle, but live in head space.
+    2. Every expression coefficient (and lid) has a blendshape of all properties. Its start is the mesh blendshape,
+    carried over by deformation transfer; learned differences come on top, blended linearly.
+    3. Consistency: a learned difference is scaled by how far the mesh blendshape moves the triangle, so that where the
+    mesh rests, the Gaussians rest. 4. The joints pose the result by linear blend skinning (Sec. 3.3). Upper and lower
+    teeth are Gaussians that follow head and jaw inside a cylinder, for heads whose mesh has none; eyes follow their
+    joints. 5. Image loss, coverage against the mask, and the cylinder (Sec. 3.4).
+
+Spherical harmonics are not turned with the skin: the head pose is in the camera, and what is left are small angles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import mse_loss, normalize
+
+from ggavatar.colors import rgb_to_sh, splatted_colors
+from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.deformation_transfer import FaceChanges, transferred
+from ggavatar.density import DensityControl, accumulate, statistics
+from ggavatar.geometry import invert_rigid, quaternion_multiply
+from ggavatar.head.model import HeadModel
+from ggavatar.losses import dssim, l1
+from ggavatar.methods import ggavatar
+from ggavatar.mouth_interior import MouthCylinder
+from ggavatar.perceptual import CropSampler
+from ggavatar.perceptual_term import PerceptualTerm
+from ggavatar.pose import HeadPoses
+from ggavatar.rows import Column, Rows
+from ggavatar.scene import Scene
+from ggavatar.schedule import log_linear, scaled, seeded
+from ggavatar.skinning import FaceMotion, FaceSkin
+from ggavatar.surface_sampling import spread_points
+
+PROPERTIES = (3, 4, 3, 1)
+"""Numbers of a position, a quaternion, a scale and an opacity; the harmonics follow."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every number of the method; the defaults are the authors'. Iterations are those of `iterations`."""
+
+    iterations: int = 40_000
+    """Length of the training that the constants below belong to, iterations (public code)."""
+    pose_on: Literal["camera", "neck"] = "camera"
+    """Where the head pose acts: on the camera, as it was tracked, or on the neck too, so that the torso is still."""
+    consistency: bool = True
+    """Whether learned differences are scaled by the displacement of the mesh (Sec. 3.4)."""
+    consistency_threshold: float = 0.004
+    """Share of the largest displacement below which a triangle rests (public code: 0.1 × 0.237 mm of 5.7 mm)."""
+    blendshapes: int = 50
+    """Most blendshapes a Gaussian learns differences of, those that move it most; the mesh transfers all (code)."""
+
+    first_gaussians: int = 50_000
+    """Gaussians to begin with, spread evenly over the mesh; at most 0.6 of those allowed (Sec. 4)."""
+    mouth_gaussians: float = 0.1
+    """Gaussians in the mouth for upper and for lower teeth, each as a share of `first_gaussians` (public code)."""
+    first_colors: Literal["grey", "frames"] = "grey"
+    """Colours to begin with: grey (public code), or read off a few training frames."""
+
+    position_rate: float = 1.6e-4
+    """Learning rate of neutral positions at the start, m (public code)."""
+    position_decay: float = 0.01
+    """Share of the position rate that is left at `position_iterations` (public code)."""
+    position_iterations: int = 30_000
+    """Iterations over which the position rate falls; constant afterwards (public code)."""
+    scale_rate: float = 5e-3
+    """Learning rate of the logarithms of scales (public code)."""
+    rotation_rate: float = 1e-3
+    """Learning rate of quaternions (public code)."""
+    opacity_rate: float = 0.05
+    """Learning rate of opacity logits (public code)."""
+    color_rate: float = 2.5e-3
+    """Learning rate of the constant spherical harmonic; the others learn at a 20th (public code)."""
+    difference_rate: float = 1.0
+    """Factor on the next five, for trainings shorter than the authors' (ours)."""
+    position_difference_rate: float = 3.2e-7
+    """Learning rate of differences of positions, m (public code: 0.2 × 1.6e-6)."""
+    scale_difference_rate: float = 5e-4
+    """Learning rate of differences of logarithms of scales (public code: 0.1 of the neutral one's)."""
+    rotation_difference_rate: float = 1e-4
+    """Learning rate of differences of quaternions (public code: 0.1 of the neutral one's)."""
+    opacity_difference_rate: float = 5e-5
+    """Learning rate of differences of opacity logits (public code: 0.001 of the neutral one's)."""
+    color_difference_rate: float = 1.25e-3
+    """Learning rate of differences of all spherical harmonics (public code: 0.5 of the neutral one's)."""
+    sh_degree: int = 3
+    """Highest degree of the spherical harmonics, 0 to 3 (public code)."""
+    sh_iterations: int = 1_000
+    """Iterations between two rises of the degree in use (public code)."""
+    difference_sh_degree: int = 3
+    """Highest degree of the spherical harmonics that have differences, at most `sh_degree` (public code)."""
+
+    density_start: int = 500
+    """Density control begins after this iteration (public code)."""
+    density_stop: int = 15_000
+    """Density control ends with this iteration (public code)."""
+    density_interval: int = 100
+    """Iterations between two rounds (public code); short trainings keep 20 steps, 30 rounds or at least 10 steps."""
+    density_gradient: float = 1e-3
+    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (code)."""
+    density_ramp: bool = False
+    """Whether room for new Gaussians opens evenly over the rounds (short trainings) or at once (3DGS)."""
+    prune_iterations: int = 3_000
+    """Iterations after which Gaussians above a tenth of the extent are removed; opacities are never reset (code)."""
+    extent: float = 1.0
+    """Extent of the scene, m (public code)."""
+
+    dssim_share: float = 0.2
+    """Share of D-SSIM in the image loss (Sec. 3.4)."""
+    alpha_weight: float = 10.0
+    """Weight of the mean squared difference between coverage and mask (public code)."""
+    mouth_weight: float = 100.0
+    """Weight of the mean squared distance of teeth Gaussians from the mouth's cylinder, 1/m² (public code)."""
+    perceptual_weight: float = 0.0
+    """Weight of a VGG loss; the public code adds LPIPS on the data of NeRFBlendShape."""
+    crop_side: int = 96
+    """Side of the crops that the VGG loss looks at, px (ours)."""
+    crop_probability: float = 0.1
+    """Share of the steps with a crop (ours)."""
+
+
+SHORT: dict[str, Any] = {
+    "pose_on": "neck",
+    "first_colors": "frames",
+    "sh_degree": 1,
+    "sh_iterations": 7_000,
+    "difference_sh_degree": 0,
+    "difference_rate": 5.0,
+    "density_start": 1_600,
+    "density_stop": 20_000,
+    "density_gradient": 2e-4,
+    "density_ramp": True,
+    "alpha_weight": 1.0,
+}
+"""What a training of a few thousand steps on a CPU changes: the care that `ggavatar.SHORT` gives to our method."""
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "without_consistency": {"consistency": False},
+    "with_perceptual": {"perceptual_weight": 0.02},
+}
+
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+
+
+def build(config: Config, scene: Scene) -> GaussianBlendshapes:
+    """The avatar before its first step."""
+    avatar = GaussianBlendshapes(config, scene).to(scene.background.device)
+    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
+        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
+        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    return avatar
+
+
+class GaussianBlendshapes(nn.Module):
+    """The avatar: rows of neutral Gaussians with their differences, and tables that say how each triangle moves."""
+
+    steps_done: Tensor
+
+    def __init__(self, config: Config, scene: Scene) -> None:
+        super().__init__()
+        self.config, self.scene, self.head = config, scene, scene.head
+        self.poses = HeadPoses.of(self.head, scene.drives)
+        self.spreads = coefficient_spreads(self.head, scene.drives)
+        self.mouth = MouthCylinder.of(self.head)
+        self.changes, self.skin = face_tables(self.head, self.spreads, teeth=self.mouth is not None)
+        self.slots, self.strengths = strongest(self.changes.displacement, config)
+        self.units = difference_units(config).to(self.spreads)
+        self.rows = first_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
+        self.density = density_control(config, scene)
+        crops = CropSampler(config.crop_side, config.crop_probability)
+        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
+        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
+
+    def gaussians(self, drive: Drive) -> Gaussians:
+        """The avatar posed by `drive`, in world space (Sec. 3.1, 3.3)."""
+        rows, face = self.rows, self.rows["face"]
+        coefficients = torch.cat((drive.expression, drive.eyelids)) / self.spreads
+        with torch.no_grad():
+            linear, offset, turn = self.changes.at(coefficients)
+            skin = self._motion(drive)
+            shift = (skin.linear @ offset[:, :, None]).squeeze(-1) + skin.offset
+            point, shift, turn = (skin.linear @ linear)[face], shift[face], turn[face]
+            weights = (self.strengths * coefficients[self.slots])[face]
+        moved, turned, grown, clearer, tinted = self._differences(weights)
+        means = (point @ rows["means"][:, :, None] + skin.linear[face] @ moved[:, :, None]).squeeze(-1) + shift
+        quats = quaternion_multiply(turn, normalize(rows["quats"], dim=-1)) + turned
+        return Gaussians(
+            means,
+            quaternion_multiply(skin.quats[face], quats),
+            (rows["log_scales"] + grown).exp(),
+            (rows["opacity_logits"] + clearer.squeeze(-1)).sigmoid(),
+            self._colors(tinted.unflatten(1, (-1, 3))),
+            self._sh_degree(),
+        )
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
+        """Image, coverage and the mouth's cylinder (Sec. 3.4); the perceptual loss where it was asked for."""
+        config = self.config
+        terms = {
+            "l1": (1 - config.dssim_share) * l1(rendering.image, frame.image),
+            "dssim": config.dssim_share * dssim(rendering.image, frame.image),
+            "alpha": config.alpha_weight * mse_loss(rendering.alpha, frame.alpha),
+        }
+        if self.mouth is not None:
+            teeth = self.mouth.outside(self.rows["means"])
+            sets = [self.rows["face"] == len(self.head.faces) + which for which in (0, 1)]
+            apart = torch.stack([(teeth * one).sum() / one.sum().clamp_min(1) for one in sets])
+            terms["mouth"] = config.mouth_weight * apart.sum()
+        if config.perceptual_weight:
+            boxes = ggavatar.region_boxes(self.head, frame)
+            terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
+        return terms
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """Adam on the rows."""
+        return [self.rows.optimizer]
+
+    @torch.no_grad()
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        """Density control after `step`; rates and degree of the next."""
+        if self.density.is_active(step):
+            accumulate(self.rows, rendering)
+            unit = torch.ones(len(self.slots), device=self.slots.device)
+            self.density.apply(self.rows, step, unit, seeded(self.scene.seed, 2, step))
+        self.rows.set_rate("means", position_rate(self.config, self.scene, step))
+        self.steps_done.fill_(step)
+
+    def notes(self) -> dict[str, str]:
+        """Which features the perceptual loss used."""
+        return self.perceptual.notes()
+
+    def _motion(self, drive: Drive) -> FaceMotion:
+        """Skinning of every triangle, the torso held still if the head pose acts on the neck."""
+        motion = self.skin.motion(self.head, drive)
+        if self.config.pose_on == "camera" or not self.poses.in_camera:
+            return motion
+        torso = invert_rigid(drive.head_to_camera) @ self.poses.reference
+        return self.skin.hold(motion, torso, self.head.joint("root"))
+
+    def _differences(self, weights: Float[Tensor, "N M"]) -> tuple[Tensor, ...]:
+        """What the learned differences add to positions, quaternions, log-scales, opacity logits and harmonics."""
+        added = blend(self.rows["differences"], weights) * self.units
+        return added.split((*PROPERTIES, added.shape[1] - sum(PROPERTIES)), dim=1)
+
+    def _colors(self, tinted: Float[Tensor, "N K 3"]) -> Float[Tensor, "N L 3"]:
+        """Spherical harmonics with their differences."""
+        rows, count = self.rows, tinted.shape[1]
+        sh = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
+        return torch.cat((sh[:, :count] + tinted, sh[:, count:]), dim=1)
+
+    def _sh_degree(self) -> int:
+        """Degree in use: one more every `sh_iterations`."""
+        interval = max(scaled(self.config.sh_iterations, self.scene.steps, self.config.iterations), 1)
+        return min(int(self.steps_done) // interval, self.config.sh_degree)
+
+
+def blend(differences: Float[Tensor, "N D M"], weights: Float[Tensor, "N M"]) -> Float[Tensor, "N D"]:
+    """Σ_m w_m Δ_m: what the learned differences of a Gaussian add up to; no gradient reaches the weights."""
+    blended: Tensor = _Blend.apply(differences, weights)
+    return blended
+
+
+class _Blend(torch.autograd.Function):
+    """The sum; the outer product on the way back as one broadcast, which is five times as fast as torch's own."""
+
+    @staticmethod
+    def forward(ctx: Any, differences: Tensor, weights: Tensor) -> Tensor:
+        ctx.save_for_backward(weights)
+        return (differences @ weights[:, :, None]).squeeze(-1)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        (weights,) = ctx.saved_tensors
+        return upstream[:, :, None] * weights[:, None, :], None
+
+
+def coefficient_spreads(head: HeadModel, drives: tuple[Drive, ...]) -> Float[Tensor, " K"]:
+    """Root mean square of every expression coefficient and lid in training; 1 for one that never moved.
+
+    Blendshapes are counted in these units, so that rates mean the same for FLAME's coefficients, which are standard
+    deviations, and for any other head's.
+    """
+    seen = [torch.cat((drive.expression, drive.eyelids)) for drive in drives or (head.neutral_drive(),)]
+    spreads = torch.stack(seen).square().mean(0).sqrt()
+    return torch.where(spreads > 1e-6, spreads, torch.ones_like(spreads))
+
+
+def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceChanges, FaceSkin]:
+    """Mesh blendshapes and skinning of every triangle; with `teeth`, of two more that follow the head and the jaw."""
+    displacements = torch.cat((head.expression_basis, head.eyelid_basis), dim=2) * spreads
+    changes, skin = transferred(head.template, head.faces, displacements), FaceSkin.of(head)
+    if not teeth:
+        return changes, skin
+    rigid = [head.joint(name if name in head.joint_names else head.joint_names[0]) for name in ("neck", "jaw")]
+    return changes.with_still(2), skin.with_rigid(rigid)
+
+
+def strongest(displacement: Float[Tensor, "F K"], config: Config) -> tuple[Tensor, Tensor]:
+    """For every triangle the blendshapes that move it and how much: slots [F, M] and strengths in [0, 1] [F, M].
+
+    The strength is max(‖d‖ − t, 0) / (d_max − t), t = `consistency_threshold` · d_max; M is as small as it can be.
+    """
+    largest = displacement.max().clamp_min(1e-12)
+    threshold = config.consistency_threshold * largest
+    strengths = (displacement - threshold).clamp_min(0) / (largest - threshold)
+    if not config.consistency:
+        strengths = torch.ones_like(strengths)
+    count = int((strengths > 0).sum(1).max().clamp(1, config.blendshapes))
+    ordered = strengths.sort(dim=1, descending=True, stable=True)
+    return ordered.indices[:, :count], ordered.values[:, :count]
+
+
+def difference_units(config: Config) -> Float[Tensor, " D"]:
+    """Units of the stored differences: the learning rates, so that one column with a rate of 1 has them all.
+
+    Adam does not notice the scale of a gradient; this is exact.
+    """
+    degree = min(config.difference_sh_degree, config.sh_degree)
+    rates = (
+        (config.position_difference_rate, 3),
+        (config.rotation_difference_rate, 4),
+        (config.scale_difference_rate, 3),
+        (config.opacity_difference_rate, 1),
+        (config.color_difference_rate, 3 * (degree + 1) ** 2),
+    )
+    return torch.cat([torch.full((count,), rate) for rate, count in rates])
+
+
+def first_rows(config: Config, scene: Scene, mouth: MouthCylinder | None, differences: tuple[int, int]) -> Rows:
+    """Small grey Gaussians spread over the mesh and in the mouth, as large as they are apart, without differences."""
+    head, generator = scene.head, seeded(scene.seed, 4)
+    wanted = min(config.first_gaussians, int(0.6 * scene.max_gaussians))
+    means, face, apart = spread_points(head.neutral(), head.faces, wanted, generator)
+    log_scales = torch.full((len(means), 3), apart).log()
+    if mouth is not None:
+        each = round(config.mouth_gaussians * wanted)
+        spacing = (math.pi * mouth.radius**2 * mouth.half_height / max(each, 1)) ** (1 / 3)
+        means = torch.cat((means, mouth.points(2 * each, generator)))
+        face = torch.cat((face, len(head.faces) + torch.arange(2).repeat_interleave(each).to(face)))
+        log_scales = torch.cat((log_scales, torch.full((2 * each, 3), spacing).log()))
+    count, device = len(means), head.faces.device
+    learnable = {
+        "means": Column(means, config.position_rate * config.extent),
+        "quats": Column(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), config.rotation_rate),
+        "log_scales": Column(log_scales, config.scale_rate),
+        "opacity_logits": Column(torch.full((count,), 0.1).logit(), config.opacity_rate),
+        "sh": Column(torch.rand(count, 1, 3, generator=generator) / 255, config.color_rate),
+        "differences": Column(torch.zeros(count, *differences), config.difference_rate),
+    }
+    if config.sh_degree:
+        learnable["sh_rest"] = Column(torch.zeros(count, (config.sh_degree + 1) ** 2 - 1, 3), config.color_rate / 20)
+    moved = {name: Column(column.values.to(device), column.rate) for name, column in learnable.items()}
+    return Rows(moved, {"face": face.to(device), **statistics(count, device)})
+
+
+def density_control(config: Config, scene: Scene) -> DensityControl:
+    """The density schedule scaled to this training; there are no opacity resets."""
+    start = scaled(config.density_start, scene.steps, config.iterations)
+    stop = scaled(config.density_stop, scene.steps, config.iterations)
+    wanted = scaled(config.density_interval, scene.steps, config.iterations)
+    interval = max(min(max(20, wanted), (stop - start) // 30), 10)
+    return DensityControl(
+        start=start,
+        stop=stop,
+        interval=interval,
+        reset_interval=max(scaled(config.prune_iterations, scene.steps, config.iterations), 10 * interval),
+        resetting=False,
+        gradient=config.density_gradient,
+        extent=config.extent,
+        budget=scene.max_gaussians,
+        ramp=config.density_ramp,
+    )
+
+
+def position_rate(config: Config, scene: Scene, step: int) -> float:
+    """Learning rate of neutral positions after `step` steps."""
+    first = config.position_rate * config.extent
+    last = scaled(config.position_iterations, scene.steps, config.iterations)
+    return log_linear(step, first, first * config.position_decay, last)

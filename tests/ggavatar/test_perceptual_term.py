@@ -1,0 +1,37 @@
+"""The perceptual term: weight on images, expected weight on crops, and what it says about itself."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from ggavatar.perceptual import CropSampler, PerceptualLoss, random_weights
+from ggavatar.perceptual_term import PerceptualTerm
+
+
+@pytest.fixture
+def network(monkeypatch: pytest.MonkeyPatch) -> PerceptualLoss:
+    """Untrained features, in place of whatever weights are at hand."""
+    untrained = PerceptualLoss("random-vgg", random_weights(0), blocks=1)
+    monkeypatch.setattr("ggavatar.perceptual_term.perceptual_loss", lambda: untrained)
+    return untrained
+
+
+def test_whole_images_weigh_as_stated(network: PerceptualLoss) -> None:
+    image, target = torch.rand(2, 16, 20, 3, generator=torch.Generator().manual_seed(0)).unbind(0)
+    term = PerceptualTerm(0.02)
+    assert term.notes() == {}
+    assert torch.equal(term(image, target, 1)["perceptual"], 0.02 * network(image, target))
+    assert term.notes() == {"perceptual_loss": "random-vgg"}
+
+
+def test_crops_have_the_same_expected_weight_and_repeat_themselves(network: PerceptualLoss) -> None:
+    """With crops as large as the image every look is the whole loss at 1/chance of its weight."""
+    image, target = torch.rand(2, 16, 16, 3, generator=torch.Generator().manual_seed(1)).unbind(0)
+    term = PerceptualTerm(0.02, CropSampler(side=16, probability=0.25), seed=5)
+    looks = [term(image, target, step) for step in range(200)]
+    seen = [look["perceptual"] for look in looks if look]
+    assert 30 < len(seen) < 70
+    assert torch.allclose(torch.stack(seen), 4 * 0.02 * network(image, target))
+    again = PerceptualTerm(0.02, CropSampler(side=16, probability=0.25), seed=5)
+    assert [bool(again(image, target, step)) for step in range(200)] == [bool(look) for look in looks]
