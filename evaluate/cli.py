@@ -62,7 +62,7 @@ def _evaluate(options: Options) -> int:
 
 def _behind(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
     """The result files behind the tables: the one that was scored or read, or copies of several beside the table."""
-    if len(evaluations) > 1 or options.labels:
+    if len(evaluations) != 1 or options.labels:
         return write_copies(evaluations, folder)
     if options.folders.pred:
         return [folder / METRICS_FILE]

@@ -106,7 +106,7 @@ class Options:
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """Rows are subjects (the paper's Table 1) or methods (its Table 2)."""
     with_paper: bool = False
-    """Set the paper's rows below ours (their protocol is not stated)."""
+    """Set the paper's rows below ours (their protocol is not stated); without runs, its Tables 1 and 2 alone."""
     no_report: bool = False
     """Leave out the HTML report, the comparison figure, the side-by-side video and the curves."""
     no_learned: Annotated[bool, Alias(aliases=["--no-lpips"])] = False
@@ -149,7 +149,8 @@ def parse(arguments: list[str] | None) -> Options:
         raise InputError(f"expected both --pred and --gt, found no {lacking}; name the folder of the other pictures")
     if any(given) and options.runs:
         raise InputError("expected either run folders or --pred and --gt, found both; call the command twice")
-    if not any(given) and not options.runs:
+    only_the_paper = options.with_paper and options.gates == Gates()
+    if not any(given) and not options.runs and not only_the_paper:
         raise InputError("expected a run folder, a metrics.json, or --pred DIR --gt DIR; see ggavatar-eval --help")
     if options.labels and len(options.labels) != len(options.runs):
         found = f"{len(options.labels)} for {len(options.runs)} runs"

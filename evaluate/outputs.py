@@ -15,11 +15,10 @@ from evaluate import (
 )
 from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
 from evaluate.detail_table import detail_table, efficiency_table, significance_table
-from evaluate.paper_table import ablation_with_paper, with_paper
+from evaluate.paper_table import ablation_with_paper, paper_table_1, paper_table_2, with_paper
 from evaluate.results import Evaluation, to_json, write_text
 from evaluate.table import Table
 
-LAYOUTS = ("auto", "subjects", "ablation")
 RENDERERS = {
     "md": render_table_markdown.to_markdown,
     "tex": render_table_latex.to_latex,
@@ -35,12 +34,12 @@ def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper:
         evaluations: Any number, in the order in which subjects and methods shall appear.
         layout: `subjects` is the paper's Table 1, `ablation` its Table 2; `auto` takes the latter for one subject with
             more than four methods.
-        paper: Set the paper's rows below ours.
+        paper: Set the paper's rows below ours, or give its tables alone where there is nothing of ours.
 
     Raises:
         InputError: Two evaluations of one subject, method, seed and protocol.
     """
-    tables: list[Table] = []
+    tables: list[Table] = [paper_table_1(), paper_table_2()] if paper and not evaluations else []
     for study in studies(evaluations):
         tables.append(_main_table(study, layout, paper))
         tables += [found for found in (significance_table(study), efficiency_table(study)) if found]

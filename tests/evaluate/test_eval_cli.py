@@ -132,6 +132,16 @@ def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytes
     assert main([*results, "--labels", "x"]) == 2
 
 
+def test_without_runs_the_papers_tables_stand_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--with-paper", "--table", "-o", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    for number in ("33.61*", "24.99*", "24.76'", "33.41'"):
+        assert number in text
+    cells = (tmp_path / "out" / "table.csv").read_text().splitlines()[1:]
+    assert [sum(line.startswith(name) for line in cells) for name in ("paper-1,", "paper-2,")] == [60, 15]
+    assert main(["--with-paper", "--fail-below", "psnr=3"]) == 2
+
+
 def test_masks_and_region_masks_become_columns(tmp_path: Path) -> None:
     import numpy as np
 
