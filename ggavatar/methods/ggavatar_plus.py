@@ -35,6 +35,8 @@ class Config:
     """Whether the torso stays still while the head turns."""
     pose_condition: bool = True
     """Whether the latent network sees the head pose."""
+    condition_noise: float = 0.0
+    """Noise on what the latent network sees in training, in units of each number's deviation over the frames."""
     color_unit: float = 0.1
     """Colour, as sRGB, per unit of a colour row; 0 leaves colours alone."""
     latent: int = 32
@@ -114,6 +116,7 @@ def paper_config(config: Config) -> ggavatar.Config:
     return ggavatar.Config(
         pose_on="neck" if config.torso else "camera",
         condition="face_and_pose" if config.pose_condition else "face",
+        condition_noise=config.condition_noise,
         color_unit=config.color_unit,
         latent=config.latent,
         network_rate=config.network_rate,

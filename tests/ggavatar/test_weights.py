@@ -18,7 +18,6 @@ from ggavatar.weights import (
     ModelFile,
     load_weights,
     locate,
-    require,
 )
 
 
@@ -47,15 +46,7 @@ def test_folders_are_searched_in_order(model: tuple[ModelFile, bytes], tmp_path:
     assert locate(file, own) is None
     for folder in (cache, environment, own):
         path = put(folder, file, content)
-        assert locate(file, own) == path == require(file, own)
-
-
-def test_missing_file_says_what_where_and_how(model: tuple[ModelFile, bytes], tmp_path: Path) -> None:
-    file, _ = model
-    with pytest.raises(InputError) as caught:
-        require(file)
-    for part in (file.file, file.name, file.licence, file.source, str(tmp_path / "models")):
-        assert part in str(caught.value)
+        assert locate(file, own) == path
 
 
 def test_damaged_file_is_refused(model: tuple[ModelFile, bytes], tmp_path: Path) -> None:
@@ -92,6 +83,7 @@ def test_every_known_file_is_fully_described() -> None:
 @pytest.mark.weights
 @pytest.mark.parametrize("known", [VGG16_TO_RELU2_2])
 def test_files_at_hand_have_the_digests_we_state(known: ModelFile) -> None:
-    if locate(known) is None:
+    path = locate(known)
+    if path is None:
         pytest.skip(f"needs {known.file} in $GGAVATAR_MODELS")
-    assert load_weights(require(known))
+    assert load_weights(path)
