@@ -99,7 +99,9 @@ class Lpips(nn.Module):
             first: RGB in [-1, 1]. Feeding [0, 1] instead is what the 3DGS lineage reports; name it so.
             second: Likewise.
         """
-        x = (torch.cat((first, second)) - self.shift) / self.scale
+        # Channels last: on CPUs the pooling takes a tenth of the time, the whole network three quarters.
+        x = torch.cat((first, second)).contiguous(memory_format=torch.channels_last)
+        x = (x - self.shift).div_(self.scale)
         total = x.new_zeros(len(first))
         heads = iter(self.heads)
         for index, layer in enumerate(self.features):
@@ -132,7 +134,7 @@ def load_lpips(net: str, files: LpipsFiles) -> Lpips:
     if missing := [name for name in names if name not in heads]:
         raise InputError(f"{files.head}: expected {missing[0]}, found {sorted(heads)[:3]}; use the heads of LPIPS v0.1")
     model.heads = [heads[name].float() for name in names]
-    return model.eval().requires_grad_(False)
+    return model.eval().requires_grad_(False).to(memory_format=torch.channels_last)
 
 
 def _load(path: Path) -> dict[str, Any]:
