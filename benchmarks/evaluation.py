@@ -1,0 +1,74 @@
+"""How fast folders of pictures are scored, and whether memory grows with their number."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from skimage.data import astronaut
+
+from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
+from evaluate.gather import Labels
+from evaluate.pairing import FramePair, pair_folders
+from evaluate.protocol import named
+from evaluate.score import learned_metrics, score
+from ggavatar.model_folders import model_folders
+from ggavatar.pictures import write_png
+
+PAIRS, SIZE = 200, 512
+QUICK_PAIRS, QUICK_SIZE = 20, 128
+METRICS = {"psnr_ssim": ("psnr", "ssim"), "psnr_ssim_lpips_alex": ("psnr", "ssim", "lpips_alex")}
+
+
+def write_pairs(folder: Path, count: int, size: int) -> list[FramePair]:
+    """A portrait that wanders through the picture, and blurred renders of it, as PNG."""
+    portrait = cv2.resize(astronaut(), (size, size), interpolation=cv2.INTER_AREA)
+    for frame in range(count):
+        truth = np.roll(portrait, frame, axis=1)
+        write_png(folder / "truth" / f"{frame:06d}.png", truth)
+        write_png(folder / "renders" / f"{frame:06d}.png", cv2.GaussianBlur(truth, (0, 0), 1.0))
+    return pair_folders(folder / "renders", folder / "truth")
+
+
+def scoring(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> Callable[[], object] | None:
+    """A call that scores all pairs; None without the weights it needs."""
+    protocol = named("folders").override(metrics=names, table_metrics=names)
+    learned = learned_metrics(protocol, model_folders())
+    if learned and learned.missing:
+        return None
+    return lambda: score(pairs, protocol, Labels("portrait", "blur"), learned, threads=workers)
+
+
+def figures(timing: Timing, count: int) -> dict[str, float]:
+    """What a user asks: pairs a second, and what one costs."""
+    return {
+        "pairs_per_second_wall": round(count / timing.wall_ms * 1e3, 2),
+        "cpu_ms_per_pair": round(timing.cpu_ms / count, 2),
+        "least_cpu_ms_per_pair": round(timing.least_cpu_ms / count, 2),
+        "rounds": timing.rounds,
+    }
+
+
+def memory(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> dict[str, float | None]:
+    """Memory that a quarter of the pairs needs beside the networks, and what all of them then add to it, MB."""
+    some, whole = scoring(pairs[: len(pairs) // 4], names, workers), scoring(pairs, names, workers)
+    if some is None or whole is None:
+        return {}
+    return {"quarter_of_pairs_mb": peak_extra_megabytes(some), "all_pairs_add_mb": peak_extra_megabytes(whole)}
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Both sets of metrics; LPIPS is left out where its weights are not at hand ($GGAVATAR_MODELS)."""
+    count, size = (QUICK_PAIRS, QUICK_SIZE) if options.quick else (PAIRS, SIZE)
+    workers = options.threads or cores()
+    with tempfile.TemporaryDirectory() as folder, threads(workers):
+        pairs = write_pairs(Path(folder), count, size)
+        calls = {name: call for name, names in METRICS.items() if (call := scoring(pairs, names, workers))}
+        used = {name: memory(pairs, METRICS[name], workers) for name in calls}
+        timings = interleaved(calls, options.repeats or 3, warm_up=0)
+    speed = {name: figures(timing, count) for name, timing in timings.items()}
+    return {"pairs": count, "size": size, "workers": workers, "speed": speed, "memory": used}
