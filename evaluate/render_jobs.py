@@ -66,7 +66,7 @@ def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]
     background = _background(options, run)
     shot = _orbit_alone(options, run, background) if isinstance(run, LoneFile) else _shot(options, run, background)
     views = [_sized(view, options.width) for view in _part(shot.views, options.frames)]
-    folder = options.output_dir or options.run / "renders" / shot.name
+    folder = options.output_dir or run.folder / "renders" / shot.name
     fps = (options.fps or shot.fps) if options.video else None
     output = Output(folder, background, fps, options.alpha)
     claim(output, _content(options, run), options.overwrite, options.resume)

@@ -22,6 +22,8 @@ Axes = Literal["auto", "world", "viewer"]
 VIEWER_NOTE = "ggavatar axes: x right, y down, z away"
 FARTHEST, LARGEST_COLOR, SMALLEST_LOG, LARGEST_LOG = 1e6, 1e4, -100.0, 14.0
 """Beyond these (m, coefficients, logarithms of m) a number is damage, not a Gaussian."""
+LARGEST_LOGIT = 80.0
+"""Of an opacity; beyond it is 0 or 1 for certain."""
 
 _BINDING = "binding_0"
 
@@ -42,15 +44,16 @@ def read_gaussian_ply(path: Path, axes: Axes = "auto") -> Stored:
     """
     header = read_header(path)
     rest = _rest_names(path, header)
-    wanted = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
+    wanted = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "scale_0", "scale_1", "scale_2"]
     table = read_columns(path, header, [*wanted, "rot_0", "rot_1", "rot_2", "rot_3", *rest])
+    logits = read_columns(path, header, ["opacity"], infinite=True)[:, 0]  # of files made from bytes: 0 and 255
     rows = Stored(
         means=table[:, 0:3].copy(),
         constant=table[:, 3:6].copy(),
-        rest=np.ascontiguousarray(table[:, 14:].reshape(header.count, 3, -1).transpose(0, 2, 1)),
-        opacity_logits=table[:, 6].copy(),
-        log_scales=table[:, 7:10].copy(),
-        quats=table[:, 10:14].copy(),
+        rest=np.ascontiguousarray(table[:, 13:].reshape(header.count, 3, -1).transpose(0, 2, 1)),
+        opacity_logits=logits.clip(-LARGEST_LOGIT, LARGEST_LOGIT),
+        log_scales=table[:, 6:9].copy(),
+        quats=table[:, 9:13].copy(),
         faces=_faces(path, header),
     )
     _check(path, rows)

@@ -109,8 +109,14 @@ def _properties(path: Path, lines: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def read_columns(path: Path, header: Header, names: Sequence[str]) -> ndarray:
+def read_columns(path: Path, header: Header, names: Sequence[str], infinite: bool = False) -> ndarray:
     """Columns as one float32 array [N, len(names)].
+
+    Args:
+        path: The file.
+        header: Its head.
+        names: Of the columns.
+        infinite: Whether infinity is a value, as for a logit.
 
     Raises:
         InputError: A column is missing, or holds NaN or infinity.
@@ -125,7 +131,7 @@ def read_columns(path: Path, header: Header, names: Sequence[str]) -> ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         for index, name in enumerate(names):
             columns[:, index] = table[name]
-    broken = ~np.isfinite(columns).all(axis=1)
+    broken = (np.isnan(columns) if infinite else ~np.isfinite(columns)).any(axis=1)
     if broken.any():
         raise InputError(
             f"{path}: expected finite numbers, found NaN or infinity in {int(broken.sum())} of {len(columns)} "
