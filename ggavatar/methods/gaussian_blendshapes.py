@@ -174,10 +174,12 @@ class GaussianBlendshapes(nn.Module):
         super().__init__()
         self.config, self.scene, self.head = config, scene, scene.head
         self.poses = HeadPoses.of(self.head, scene.drives)
-        self.spreads = coefficient_spreads(self.head, scene.drives)
+        spreads = coefficient_spreads(self.head, scene.drives)
+        moving = spreads > 0
+        self.spreads = torch.where(moving, spreads, torch.ones_like(spreads))
         self.mouth = MouthCylinder.of(self.head)
         self.changes, self.skin = face_tables(self.head, self.spreads, teeth=self.mouth is not None)
-        self.slots, self.strengths = strongest(self.changes.displacement, config)
+        self.slots, self.strengths = strongest(self.changes.displacement * moving, config)
         self.units = difference_units(config).to(self.spreads)
         self.rows = first_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
         self.density = density_control(config, scene)
@@ -289,14 +291,14 @@ class _Blend(torch.autograd.Function):
 
 
 def coefficient_spreads(head: HeadModel, drives: tuple[Drive, ...]) -> Float[Tensor, " K"]:
-    """Root mean square of every expression coefficient and lid in training; 1 for one that never moved.
+    """Root mean square of every expression coefficient and lid in training; 0 for one that never moved.
 
     Blendshapes are counted in these units, so that rates mean the same for FLAME's coefficients, which are standard
-    deviations, and for any other head's.
+    deviations, and for any other head's. What never moved only follows the mesh.
     """
     seen = [torch.cat((drive.expression, drive.eyelids)) for drive in drives or (head.neutral_drive(),)]
     spreads = torch.stack(seen).square().mean(0).sqrt()
-    return torch.where(spreads > 1e-6, spreads, torch.ones_like(spreads))
+    return torch.where(spreads > 1e-6, spreads, torch.zeros_like(spreads))
 
 
 def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceChanges, FaceSkin]:

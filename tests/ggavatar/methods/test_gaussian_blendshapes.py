@@ -159,7 +159,7 @@ def test_coefficients_are_counted_in_their_spread(toy_capture: Capture, toy_head
     drives, _ = drives_and_cameras(toy_capture, toy_head, "cpu")
     spreads = coefficient_spreads(toy_head, tuple(drives))
     wanted = torch.stack([drive.expression for drive in drives]).square().mean(0).sqrt()
-    assert torch.allclose(spreads[:3], wanted) and spreads[3:].tolist() == [1.0, 1.0]
+    assert torch.allclose(spreads[:3], wanted) and spreads[3:].tolist() == [0.0, 0.0]
     avatar = make(toy_capture, toy_head)
     scaled_head = dataclasses.replace(toy_head, expression_basis=10 * toy_head.expression_basis)
     scaled_drives = tuple(dataclasses.replace(drive, expression=drive.expression / 10) for drive in drives)
@@ -170,6 +170,19 @@ def test_coefficients_are_counted_in_their_spread(toy_capture: Capture, toy_head
             one.rows["differences"][:, :3] = 1e-3 / one.units[:3, None]
     got, same = other.gaussians(scaled_drives[4]).means, avatar.gaussians(drives[4]).means
     assert torch.allclose(got, same, atol=1e-5)
+
+
+def test_what_never_moved_follows_the_mesh_and_learns_nothing(toy_capture: Capture, toy_head: HeadModel) -> None:
+    """Lids that no training frame closes move as the mesh does, and do not weaken the others' strengths."""
+    lids = torch.zeros(len(toy_head.template), 3, 2)
+    lids[:, 1] = 0.05 * torch.rand(len(lids), 2, generator=torch.Generator().manual_seed(0))
+    head = dataclasses.replace(toothless(toy_head), eyelid_basis=lids)
+    avatar, plain = make(toy_capture, head), make(toy_capture, toothless(toy_head))
+    assert torch.equal(avatar.strengths, plain.strengths)
+    at_centroids(avatar)
+    drive = dataclasses.replace(head.neutral_drive(), eyelids=torch.tensor([1.0, 0.5]))
+    wanted = triangle_frames(head.vertices(drive), head.faces).centers[avatar.rows["face"]]
+    assert torch.allclose(avatar.gaussians(drive).means, wanted, atol=1e-6)
 
 
 def test_objective_by_hand(toy_capture: Capture, toy_head: HeadModel) -> None:

@@ -1,0 +1,58 @@
+"""Baselines that go on: two runs, and one that was broken off amid density control, end bit for bit alike."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import torch
+
+from ggavatar.capture import Capture
+from ggavatar.checkpoint import load_checkpoint
+from ggavatar.session import configure, make_trainer
+from ggavatar.trainer import StopSignals, Trainer
+
+SETTINGS = ["density_start=0", "density_gradient=1e-6"]
+
+
+def start(capture: Capture, folder: Path, method: str) -> Trainer:
+    """A trainer whose density control works every 10 of 40 steps."""
+    options = {"method": method, "steps": 40, "eval_every": 0, "max_gaussians": 400, "device": "cpu", "set": SETTINGS}
+    config, split = configure(capture, options)
+    plan = dataclasses.replace(config.training, resolutions=(), save_every=1_000)
+    return make_trainer(folder, dataclasses.replace(config, training=plan), capture, split)
+
+
+def state(folder: Path) -> dict[str, torch.Tensor]:
+    return load_checkpoint(folder / "checkpoints")[0]
+
+
+class StopAt:
+    """A listener that asks to stop after a step."""
+
+    def __init__(self, stop: StopSignals, step: int) -> None:
+        self._stop, self._step = stop, step
+
+    def step(self, step: int, loss: float, gaussians: int) -> None:
+        self._stop.received = 15 if step == self._step else self._stop.received
+
+    def evaluated(self, step: int, psnr: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("method", ["gaussian_avatars", "gaussian_blendshapes"])
+def test_interrupted_run_equals_one_without(method: str, toy_capture: Capture, tmp_path: Path) -> None:
+    for name in ("straight", "broken"):
+        (tmp_path / name).mkdir()
+    start(toy_capture, tmp_path / "straight", method).run(0, StopSignals())
+    for step in (13, 1_000):
+        trainer, stop = start(toy_capture, tmp_path / "broken", method), StopSignals()
+        trainer.listener = StopAt(stop, step)
+        assert trainer.run(trainer.resume(), stop) == min(step, 40)
+    one, other = state(tmp_path / "straight"), state(tmp_path / "broken")
+    assert one.keys() == other.keys() and len(one["avatar.rows.carried.face"]) > 300
+    assert all(torch.equal(one[name], other[name]) for name in one)
