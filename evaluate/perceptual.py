@@ -134,7 +134,7 @@ def load_lpips(net: str, files: LpipsFiles) -> Lpips:
     if missing := [name for name in names if name not in heads]:
         raise InputError(f"{files.head}: expected {missing[0]}, found {sorted(heads)[:3]}; use the heads of LPIPS v0.1")
     model.heads = [heads[name].float() for name in names]
-    return model.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+    return model.eval().requires_grad_(False)
 
 
 def _load(path: Path) -> dict[str, Any]:

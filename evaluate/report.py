@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from evaluate.catalogue import metric_of, title_of
-from evaluate.comparison_table import printed
 from evaluate.curves import COLORS
 from evaluate.outputs import build_tables
 from evaluate.render_table_html import STYLE, to_fragment
@@ -47,7 +46,7 @@ def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) ->
     tables = "\n".join(map(_table, build_tables(evaluations)))
     parts = {
         "TITLE": escape(_title(shown)),
-        "SUMMARY": _summary(evaluations[0], len(shown) > 1),
+        "SUMMARY": _summary(evaluations[0], names_of(shown)[0] if len(shown) > 1 else ""),
         "TABLE-STYLE": STYLE,
         "TABLES": tables,
         "PROTOCOL": _definition_list(_protocol(evaluations[0])),
@@ -111,9 +110,9 @@ def _title(shown: Sequence[Shown]) -> str:
     return f"{shown[0].evaluation.subject}: {', '.join(names_of(shown))}"
 
 
-def _summary(evaluation: Evaluation, named: bool) -> str:
-    """The numbers of the main table, large; with the method's name where the page shows several."""
-    cells = [f"<div><dt>Method</dt><dd>{escape(printed(evaluation.method))}</dd></div>"] if named else []
+def _summary(evaluation: Evaluation, name: str) -> str:
+    """The numbers of the main table, large; under the name of the method where the page shows several."""
+    cells = [f"<div><dt>Method</dt><dd>{escape(name)}</dd></div>"] if name else []
     for name in evaluation.protocol.table_metrics:
         metric, mean = metric_of(name), evaluation.summary(name).mean
         value = "–" if mean is None else f"{mean:.{metric.digits}f}"
