@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from evaluate.crops import Crop, choose_crops
-from evaluate.heatmap import colored, error_map, psnr, scale_bar, shared_limit
+from evaluate.heatmap import colored, scale_bar, shared_limit
 from evaluate.lettering import INK, MUTED, PAPER, Color, coverage, put
+from evaluate.metrics import absolute_error, psnr
 from evaluate.sheet import GAP, Row, resized, sheet, type_size
 
 CROP_COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (0, 114, 178))
@@ -35,7 +36,7 @@ class Sample:
 
     def errors(self) -> dict[str, Float[np.ndarray, "H W"]]:
         """Error maps by method."""
-        return {name: error_map(image, self.truth) for name, image in self.renders.items()}
+        return {name: absolute_error(image, self.truth) for name, image in self.renders.items()}
 
     def crops(self, count: int) -> list[Crop]:
         """Squares where the methods err most on average, the first of them within the focus."""
@@ -83,7 +84,7 @@ def _single(sample: Sample, count: int, width: int, limit: float) -> Row:
         pairs = [_enlarged(image, crops, tiles[0].shape[0], upright=True) for image in (sample.truth, render)]
         tiles.append(_beside(pairs, width))
         captions.append("")
-    tiles.append(resized(colored(error_map(render, sample.truth), limit), width))
+    tiles.append(resized(colored(absolute_error(render, sample.truth), limit), width))
     return Row(tiles, sample.label, [*captions, ""])
 
 

@@ -1,4 +1,4 @@
-"""Error between a render and the ground truth, per pixel, and its colours on one scale for all that is compared."""
+"""Colours of the error per pixel, on one scale for all that is compared."""
 
 from __future__ import annotations
 
@@ -11,24 +11,6 @@ from jaxtyping import Float, UInt8
 
 LIMITS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0)
 COLORMAP = "inferno"
-
-
-def error_map(image: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "H W"]:
-    """Mean absolute difference over the three channels, in [0, 1].
-
-    Raises:
-        ValueError: If the sizes differ.
-    """
-    if image.shape != truth.shape:
-        raise ValueError(f"expected pictures of one size, got {image.shape[:2]} and {truth.shape[:2]} (height, width)")
-    difference = np.abs(image.astype(np.int16) - truth.astype(np.int16))
-    return difference.mean(axis=2, dtype=np.float32) / np.float32(255)
-
-
-def psnr(image: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "H W 3"]) -> float:
-    """Peak signal-to-noise ratio of one pair of 8-bit pictures, dB, for captions; infinite for equal ones."""
-    squared = np.square(image.astype(np.float64) - truth.astype(np.float64)).mean()
-    return float(10 * np.log10(255.0**2 / squared)) if squared > 0 else float("inf")
 
 
 def shared_limit(errors: Iterable[Float[np.ndarray, "H W"]], quantile: float = 0.98) -> float:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -33,7 +32,9 @@ def measure_pixels(
         mask, or for an image too small for the metric.
     """
     maps = _ssim_maps(prediction, truth, columns)
-    flat = _channel_means({**maps, **_error_maps(prediction, truth, columns)}, columns)
+    masked = {column.partition("@")[0] for column in columns if "@" in column}
+    flat = {name: maps[name].mean(axis=2, dtype=np.float64) for name in masked & set(maps)}
+    flat |= _error_maps(prediction, truth, masked)
     values: dict[str, Value] = {}
     for column in columns:
         name, _, region = column.partition("@")
@@ -75,32 +76,20 @@ def _ssim_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[
     return found
 
 
-def _error_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, np.ndarray]:
-    """Errors per pixel that the masked columns share."""
-    names = {column.partition("@")[0] for column in columns if "@" in column}
-    if not names & {"psnr", "mse", "l1"}:
-        return {}
-    difference = cv2.absdiff(prediction, truth).astype(np.float32) / np.float32(255)
-    found = {"l1": difference} if "l1" in names else {}
-    return found | {"mse": np.square(difference)}
-
-
-def _channel_means(maps: Mapping[str, np.ndarray], columns: Sequence[str]) -> dict[str, np.ndarray]:
-    """The maps that masked columns need, averaged over the channels once for all regions."""
-    masked = {column.partition("@")[0] for column in columns if "@" in column}
-    wanted = {"mse" if name == "psnr" else name for name in masked} & set(maps)
-    return {name: maps[name].mean(axis=2, dtype=np.float64, keepdims=True) for name in wanted}
+def _error_maps(prediction: Image, truth: Image, names: Set[str]) -> dict[str, np.ndarray]:
+    """The errors per pixel that masked columns need."""
+    found = {"l1": metrics.absolute_error(prediction, truth)} if "l1" in names else {}
+    return found | ({"mse": metrics.squared_error(prediction, truth)} if names & {"psnr", "mse"} else {})
 
 
 def _masked(name: str, maps: Mapping[str, np.ndarray], weights: Weights | None) -> Value:
-    """The weighted mean of a map, as `evaluate.metrics.masked_…` and `evaluate.ssim.masked_mean` define it."""
+    """The mean of a map over a region; None without mask or map."""
     if weights is None:
         return None
     if name == "psnr":
-        error = ssim.masked_mean(maps["mse"], weights)
-        return None if error is None else metrics.decibels(error)
+        return metrics.masked_psnr(maps["mse"], weights)
     if name not in maps:
         return None
     radius = ssim.RADIUS if name in ("ssim", "ssim_luma") else 0
     height, width = weights.shape
-    return ssim.masked_mean(maps[name], weights[radius : height - radius, radius : width - radius])
+    return metrics.masked_mean(maps[name], weights[radius : height - radius, radius : width - radius])

@@ -33,17 +33,6 @@ def mean_squared_error(prediction: Image, target: Image) -> float:
     return squares / prediction.size / _range(prediction) ** 2
 
 
-def masked_mean_squared_error(prediction: Image, target: Image, weights: Weights) -> float | None:
-    """Weighted mean of the squared differences: Σ w·|Δ|² / (3 Σ w), range 1; None for a mask without weight.
-
-    PointAvatar and MonoGaussianAvatar divide the masked sum by all pixels instead, which adds −10·log10(foreground
-    share) dB to PSNR.
-    """
-    _require_alike(prediction, target)
-    difference = (prediction.astype(np.float64) - target) / _range(prediction)
-    return _weighted(np.square(difference).sum(axis=2), weights)
-
-
 def mean_absolute_error(prediction: Image, target: Image) -> float:
     """Mean of the absolute differences over all pixels and channels, range 1."""
     _require_alike(prediction, target)
@@ -51,18 +40,33 @@ def mean_absolute_error(prediction: Image, target: Image) -> float:
     return total / prediction.size / _range(prediction)
 
 
-def masked_mean_absolute_error(prediction: Image, target: Image, weights: Weights) -> float | None:
-    """Weighted mean of the absolute differences: Σ w·|Δ| / (3 Σ w), range 1; None for a mask without weight."""
+def squared_error(prediction: Image, target: Image) -> Float[np.ndarray, "H W"]:
+    """Squared difference of every pixel, mean over its channels, range 1."""
     _require_alike(prediction, target)
-    difference = (prediction.astype(np.float64) - target) / _range(prediction)
-    return _weighted(np.abs(difference).sum(axis=2), weights)
+    difference = cv2.absdiff(prediction, target).astype(np.float32) / np.float32(_range(prediction))
+    return np.square(difference).mean(axis=2)
 
 
-def _weighted(errors: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
-    if weights.shape != errors.shape:
-        raise ValueError(f"expected a mask of {errors.shape} px (height, width), got {weights.shape}")
+def absolute_error(prediction: Image, target: Image) -> Float[np.ndarray, "H W"]:
+    """Absolute difference of every pixel, mean over its channels, range 1."""
+    _require_alike(prediction, target)
+    difference = cv2.absdiff(prediction, target)
+    return difference.mean(axis=2, dtype=np.float32) / np.float32(_range(prediction))
+
+
+def masked_mean(values: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
+    """Mean of an error or SSIM map over a region: Σ w·value / Σ w; None for a mask without weight.
+
+    PointAvatar and MonoGaussianAvatar divide the masked sum by all pixels instead, which adds −10·log10(foreground
+    share) dB to PSNR. Painting the outside black in both images would lift SSIM towards 0.99.
+
+    Raises:
+        ValueError: The mask has another size.
+    """
+    if values.shape != weights.shape:
+        raise ValueError(f"expected a mask of {values.shape} px (height, width), got {weights.shape}")
     total = float(weights.sum(dtype=np.float64))
-    return float((errors * weights).sum() / (3 * total)) if total > 0 else None
+    return float(np.vdot(values.astype(np.float64), weights)) / total if total > 0 else None
 
 
 def decibels(squared_error: float) -> float:
@@ -78,9 +82,9 @@ def psnr(prediction: Image, target: Image) -> float:
     return decibels(mean_squared_error(prediction, target))
 
 
-def masked_psnr(prediction: Image, target: Image, weights: Weights) -> float | None:
-    """PSNR of `masked_mean_squared_error`, dB; None for a mask without weight."""
-    error = masked_mean_squared_error(prediction, target, weights)
+def masked_psnr(squared_errors: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
+    """PSNR of the masked mean of `squared_error`, dB; None for a mask without weight."""
+    error = masked_mean(squared_errors, weights)
     return None if error is None else decibels(error)
 
 

@@ -15,9 +15,6 @@ from scipy.spatial.transform import Rotation
 from evaluate.motion import Cameras, Motion
 from evaluate.smoothing import smoothed
 
-TRANSFERS = ("relative", "absolute")
-POSES = ("relative", "absolute", "still")
-
 
 @dataclasses.dataclass(frozen=True)
 class Transfer:

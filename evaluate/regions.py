@@ -49,15 +49,6 @@ def painted_outside(
     return painted
 
 
-def convex_hull(points: Float[np.ndarray, "L 2"], width: int, height: int) -> UInt8[np.ndarray, "H W"]:
-    """Mask of the convex hull of points in px, 255 inside: IMavatar's face interior from 68 landmarks."""
-    mask = np.zeros((height, width), np.uint8)
-    # Pixel centres lie at +0.5; OpenCV draws with centres at whole numbers, here in sixteenths of a pixel.
-    hull = cv2.convexHull(np.round((points - 0.5) * 16).astype(np.int32))
-    cv2.fillConvexPoly(mask, hull, 255, shift=4)
-    return mask
-
-
 def hair_region(
     person: UInt8[np.ndarray, "H W"], scalp: UInt8[np.ndarray, "H W"], covered: UInt8[np.ndarray, "H W"]
 ) -> UInt8[np.ndarray, "H W"]:

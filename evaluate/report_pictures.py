@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.heatmap import colored, error_map, shared_limit
+from evaluate.heatmap import colored, shared_limit
+from evaluate.metrics import absolute_error
 from evaluate.sheet import resized
 from evaluate.shown import Shown, worst_frames
 
@@ -29,7 +30,7 @@ def report_pictures(shown: Sequence[Shown], megabytes: float) -> tuple[list[dict
         megabytes: Limit for the sum of all data URIs, 10⁶ bytes; at least one frame is kept.
     """
     frames = sorted(set.intersection(*(set(one.evaluation.frames) for one in shown)))
-    limit = shared_limit(error_map(*one.pair(frame)) for one in shown for frame in _spread(frames, 12))
+    limit = shared_limit(absolute_error(*one.pair(frame)) for one in shown for frame in _spread(frames, 12))
     entries: list[dict[str, Any]] = []
     used = 0
     for frame in dict.fromkeys([*worst_frames(shown, 6), *_refining(frames)]):
@@ -44,7 +45,7 @@ def report_pictures(shown: Sequence[Shown], megabytes: float) -> tuple[list[dict
 
 def _entry(shown: Sequence[Shown], frame: int, limit: float) -> dict[str, Any]:
     pairs = [one.pair(frame) for one in shown]
-    errors = [colored(error_map(render, truth), limit) for render, truth in pairs]
+    errors = [colored(absolute_error(render, truth), limit) for render, truth in pairs]
     return {
         "frame": frame,
         "truth": data_uri(_bounded(pairs[0][1]), QUALITY),

@@ -59,17 +59,6 @@ def ssim_3dgs(prediction: Image, target: Image) -> float:
     return _mean(ssim_map(prediction, target))
 
 
-def masked_mean(values: Float[np.ndarray, "_H _W C"], weights: Float[np.ndarray, "_H _W"]) -> float | None:
-    """Mean of a map over a region, weighted; None for a mask without weight.
-
-    Averaging the map leaves the windows whole; painting the outside black in both images would lift SSIM towards 0.99.
-    """
-    if values.shape[:2] != weights.shape:
-        raise ValueError(f"expected a mask of {values.shape[:2]} px (height, width), got {weights.shape}")
-    total = float(weights.sum(dtype=np.float64))
-    return float(np.vdot(values.mean(axis=2, dtype=np.float64), weights)) / total if total > 0 else None
-
-
 def luma(image: UInt8[np.ndarray, "H W 3"] | Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 1"]:
     """ITU-R BT.601 luma 0.299 R + 0.587 G + 0.114 B in [0, 1], not rounded."""
     return (_unit(image) @ np.array([0.299, 0.587, 0.114], np.float32))[..., None]

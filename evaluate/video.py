@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,8 +14,9 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 from jaxtyping import UInt8
 
 from evaluate.frame_files import common_frames, frame_files
-from evaluate.heatmap import colored, error_map, psnr, shared_limit
+from evaluate.heatmap import colored, shared_limit
 from evaluate.lettering import INK, MUTED, strip
+from evaluate.metrics import absolute_error, psnr
 from evaluate.sheet import type_size
 from ggavatar.errors import InputError
 from ggavatar.pictures import read_rgb
@@ -79,13 +80,6 @@ def _converted(image: UInt8[np.ndarray, "H W 3"], index: int) -> av.VideoFrame:
     return frame
 
 
-def write_video(path: Path, images: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float, crf: int = CRF) -> None:
-    """Encode pictures as they come, holding one at a time; see `video_writer`."""
-    with video_writer(path, fps, crf) as append:
-        for image in images:
-            append(image)
-
-
 def playback_fps(frames: Sequence[int], fps: float) -> float:
     """Speed at which a split can be watched: the source's own where its frames follow each other, else 4 a second."""
     steps = np.diff(sorted(frames))
@@ -113,7 +107,7 @@ def write_side_by_side(
     frames = common_frames([predictions, truth])
     renders, truths = frame_files(predictions), frame_files(truth)
     sampled = frames[:: max(1, len(frames) // 20)]
-    limit = shared_limit(error_map(read_rgb(renders[frame]), read_rgb(truths[frame])) for frame in sampled)
+    limit = shared_limit(absolute_error(read_rgb(renders[frame]), read_rgb(truths[frame])) for frame in sampled)
     with video_writer(path, playback_fps(frames, fps)) as append:
         for done, frame in enumerate(frames, start=1):
             append(_panel(frame, read_rgb(renders[frame]), read_rgb(truths[frame]), name, limit))
@@ -123,7 +117,7 @@ def write_side_by_side(
 
 def _panel(frame: int, render: np.ndarray, truth: np.ndarray, name: str, limit: float) -> UInt8[np.ndarray, "H W 3"]:
     """One picture of the video: headings, three pictures, captions."""
-    pictures = np.concatenate((truth, render, colored(error_map(render, truth), limit)), axis=1)
+    pictures = np.concatenate((truth, render, colored(absolute_error(render, truth), limit)), axis=1)
     widths, size = [truth.shape[1]] * 3, type_size(truth.shape[1])
     head = strip(["Ground truth", name, f"Error, 0 to {limit:g}"], widths, size, INK, bold=True)
     quality = psnr(render, truth)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from evaluate.catalogue import metric_of
-from evaluate.heatmap import colored, error_map, shared_limit
+from evaluate.heatmap import colored, shared_limit
+from evaluate.metrics import absolute_error
 from evaluate.sheet import Row, resized, sheet
 from evaluate.shown import Shown, worst_frames
 from ggavatar.pictures import write_png
@@ -24,7 +25,7 @@ def worst_sheet(shown: Shown, count: int = 6, metric: str = "psnr", width: int =
     """
     frames, described = worst_frames([shown], count, metric), metric_of(metric)
     pairs = [shown.pair(frame) for frame in frames]
-    errors = [error_map(render, truth) for render, truth in pairs]
+    errors = [absolute_error(render, truth) for render, truth in pairs]
     limit = shared_limit(errors)
     values = dict(zip(shown.evaluation.frames, shown.evaluation.values[metric], strict=True))
     unit = "" if described.unit == "1" else f" {described.unit}"

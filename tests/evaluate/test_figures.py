@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skimage.metrics import peak_signal_noise_ratio
 
 from evaluate.comparison import load_sample, typical_frames, write_comparison
 from evaluate.comparison_layout import Sample, comparison
 from evaluate.crops import Crop, choose_crops
 from evaluate.frame_files import common_frames, frame_file, frame_files
-from evaluate.heatmap import colored, error_map, psnr, scale_bar, shared_limit
+from evaluate.heatmap import colored, scale_bar, shared_limit
 from evaluate.lettering import coverage, fitted, put
 from evaluate.sheet import GAP, Row, resized, sheet
 from ggavatar.errors import InputError
@@ -26,20 +25,6 @@ def random() -> np.random.Generator:
 
 def noise(random: np.random.Generator, height: int = 40, width: int = 30) -> np.ndarray:
     return random.integers(0, 256, (height, width, 3), dtype=np.uint8)
-
-
-def test_error_map_is_the_mean_absolute_difference(random: np.random.Generator) -> None:
-    one, two = noise(random), noise(random)
-    expected = np.abs(one.astype(float) - two.astype(float)).mean(axis=2) / 255
-    np.testing.assert_allclose(error_map(one, two), expected, atol=1e-6)
-    with pytest.raises(ValueError, match="one size"):
-        error_map(one, two[:-1])
-
-
-def test_psnr_matches_skimage(random: np.random.Generator) -> None:
-    one, two = noise(random), noise(random)
-    assert psnr(one, two) == pytest.approx(peak_signal_noise_ratio(two, one), abs=1e-9)
-    assert psnr(one, one) == float("inf")
 
 
 def test_one_scale_for_all_maps() -> None:

@@ -20,7 +20,7 @@ def test_shared_maps_give_what_the_definitions_give() -> None:
     found = measure_pixels(render, truth, [*names, *masked, "lpips_alex", "flicker"], {"face": weights})
     assert set(found) == {*names, *masked}
     lumas = ssim.luma(render), ssim.luma(truth)
-    inner = weights[5:-5, 5:-5]
+    inner, squared = weights[5:-5, 5:-5], metrics.squared_error(render, truth)
     expected = {
         "psnr": metrics.psnr(render, truth),
         "mse": metrics.mean_squared_error(render, truth),
@@ -30,13 +30,13 @@ def test_shared_maps_give_what_the_definitions_give() -> None:
         "ssim_3dgs": ssim.ssim_3dgs(render, truth),
         "ssim_3dgs_luma": ssim.ssim_3dgs(*lumas),
         "ms_ssim": ssim.ms_ssim(render, truth),
-        "psnr@face": metrics.masked_psnr(render, truth, weights),
-        "mse@face": metrics.masked_mean_squared_error(render, truth, weights),
-        "l1@face": metrics.masked_mean_absolute_error(render, truth, weights),
-        "ssim@face": ssim.masked_mean(ssim.valid(ssim.ssim_map(render, truth)), inner),
-        "ssim_luma@face": ssim.masked_mean(ssim.valid(ssim.ssim_map(*lumas)), inner),
-        "ssim_3dgs@face": ssim.masked_mean(ssim.ssim_map(render, truth), weights),
-        "ssim_3dgs_luma@face": ssim.masked_mean(ssim.ssim_map(*lumas), weights),
+        "psnr@face": metrics.masked_psnr(squared, weights),
+        "mse@face": metrics.masked_mean(squared, weights),
+        "l1@face": metrics.masked_mean(metrics.absolute_error(render, truth), weights),
+        "ssim@face": metrics.masked_mean(ssim.valid(ssim.ssim_map(render, truth)).mean(axis=2), inner),
+        "ssim_luma@face": metrics.masked_mean(ssim.valid(ssim.ssim_map(*lumas)).mean(axis=2), inner),
+        "ssim_3dgs@face": metrics.masked_mean(ssim.ssim_map(render, truth).mean(axis=2), weights),
+        "ssim_3dgs_luma@face": metrics.masked_mean(ssim.ssim_map(*lumas).mean(axis=2), weights),
     }
     assert found == pytest.approx(expected, rel=1e-6)
 

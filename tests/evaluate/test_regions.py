@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluate.regions import boundary_band, convex_hull, hair_region, mesh_regions, painted_outside
+from evaluate.regions import boundary_band, hair_region, mesh_regions, painted_outside
 
 
 def test_the_band_of_a_half_plane_is_two_radii_wide() -> None:
@@ -30,16 +30,6 @@ def test_painting_outside_changes_only_the_outside() -> None:
     assert (painted[1:3, 1:3] == 7).all()
     assert painted[0, 0].tolist() == [255, 0, 51]
     assert (image == 7).all()
-
-
-def test_the_hull_of_a_square_is_the_square() -> None:
-    points = np.array([[10.0, 10.0], [30.0, 10.0], [30.0, 30.0], [10.0, 30.0], [20.0, 20.0]])
-    mask = convex_hull(points, 64, 48)
-    assert mask.shape == (48, 64)
-    assert mask[20, 20] == 255
-    assert abs(int((mask > 0).sum()) - 400) <= 44
-    assert not mask[:9].any()
-    assert not mask[:, 31:].any()
 
 
 def squares() -> tuple[np.ndarray, np.ndarray]:

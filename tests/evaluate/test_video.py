@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evaluate.frame_files import frame_file
-from evaluate.video import playback_fps, write_side_by_side, write_video
+from evaluate.video import playback_fps, video_writer, write_side_by_side
 from ggavatar.errors import InputError
 from ggavatar.pictures import write_png
 
@@ -22,7 +22,9 @@ def decoded(path: Path) -> tuple[list[np.ndarray], float]:
 
 def test_colors_survive_and_odd_sizes_are_padded(tmp_path: Path) -> None:
     colors = [(200, 40, 30), (20, 180, 60), (250, 250, 250), (0, 0, 0)]
-    write_video(tmp_path / "v.mp4", (np.full((33, 47, 3), color, np.uint8) for color in colors), 12.5)
+    with video_writer(tmp_path / "v.mp4", 12.5) as append:
+        for color in colors:
+            append(np.full((33, 47, 3), color, np.uint8))
     images, rate = decoded(tmp_path / "v.mp4")
     assert rate == pytest.approx(12.5) and [image.shape for image in images] == [(34, 48, 3)] * 4
     for image, color in zip(images, colors, strict=True):
@@ -31,14 +33,11 @@ def test_colors_survive_and_odd_sizes_are_padded(tmp_path: Path) -> None:
 
 
 def test_a_failed_video_leaves_nothing(tmp_path: Path) -> None:
-    def breaking() -> object:
-        yield np.zeros((16, 16, 3), np.uint8)
+    with pytest.raises(RuntimeError, match="renderer failed"), video_writer(tmp_path / "v.mp4", 25.0) as append:
+        append(np.zeros((16, 16, 3), np.uint8))
         raise RuntimeError("the renderer failed")
-
-    with pytest.raises(RuntimeError, match="renderer failed"):
-        write_video(tmp_path / "v.mp4", breaking(), 25.0)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="at least one picture"):
-        write_video(tmp_path / "v.mp4", iter(()), 25.0)
+    with pytest.raises(InputError, match="at least one picture"), video_writer(tmp_path / "v.mp4", 25.0):
+        pass
     assert list(tmp_path.iterdir()) == []
 
 
