@@ -65,13 +65,12 @@ class LoneFile:
 
 
 def extent(gaussians: Gaussians) -> tuple[Float[Tensor, "3"], float]:
-    """Middle and half side, m, of the box around all but a few outlying Gaussians."""
-    seen = gaussians.means[gaussians.opacities > 1 / 255]
-    seen = seen if len(seen) else gaussians.means
-    margin = (1 - INNER) / 2
-    low, high = (
-        part.quantile(share, dim=0) for part, share in ((seen[: 1 << 20], margin), (seen[: 1 << 20], 1 - margin))
-    )
+    """Middle and half side, m, of the box around all but a few outlying Gaussians, two deviations wide."""
+    visible = gaussians.opacities > 1 / 255
+    rows = visible.nonzero()[:, 0] if bool(visible.any()) else torch.arange(len(visible), device=visible.device)
+    rows, margin = rows[:: 1 + len(rows) // MANY], (1 - INNER) / 2
+    means, reach = gaussians.means[rows], 2 * gaussians.scales[rows].amax(dim=1, keepdim=True)
+    low, high = (means - reach).quantile(margin, dim=0), (means + reach).quantile(1 - margin, dim=0)
     return (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
 
 
@@ -82,7 +81,7 @@ def open_alone(path: Path, source: Source, device: str, backend: str) -> LoneFil
         InputError: Not such a file, or it is bound to a head that was not given.
     """
     avatar = open_gaussians(path, source, None, device)
-    method = "gaussian_avatars file" if isinstance(avatar, BoundAvatar) else "3dgs file"
+    method = "GaussianAvatars file" if isinstance(avatar, BoundAvatar) else "3DGS file"
     background = torch.tensor(WHITE, device=device)
     digest = {"file": str(path), "file_sha256": file_digest(path)}
     return LoneFile(results_folder(path), path.stem, method, avatar, pick(device, backend), background, digest)

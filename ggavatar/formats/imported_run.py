@@ -42,7 +42,7 @@ def open_imported_run(
     name, chosen = choose_split(capture, split)
     head = load_head(capture.head_path).to(device, torch.float32)
     background = torch.tensor(WHITE, device=device)
-    method = "gaussian_avatars file" if isinstance(avatar, BoundAvatar) else "3dgs file"
+    method = "GaussianAvatars file" if isinstance(avatar, BoundAvatar) else "3DGS file"
     return Run(
         folder=results_folder(path),
         method=method,
