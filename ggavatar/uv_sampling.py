@@ -132,7 +132,7 @@ def face_areas(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Flo
 def ever_facing(
     posed: Sequence[Float[Tensor, "V 3"]], cameras: Sequence[Camera], faces: Int[Tensor, "F 3"]
 ) -> Bool[Tensor, " F"]:
-    """Triangles that face the camera, their centre within the image, in one of these views, whatever hides them.
+    """Triangles that face the camera, a corner within the image, in one of these views, whatever hides them.
 
     Args:
         posed: World vertices of each view, m.
@@ -144,9 +144,9 @@ def ever_facing(
         pose = camera.world_to_camera
         a, b, c = (vertices @ pose[:3, :3].T + pose[:3, 3])[faces].unbind(1)
         towards = (torch.linalg.cross(b - a, c - a) * a).sum(-1) < 0
-        pixel = project(vertices[faces].mean(1), camera.intrinsics, pose)
+        pixel = project(vertices, camera.intrinsics, pose)
         limit = pixel.new_tensor([camera.width, camera.height])
-        found |= towards & ((pixel >= 0) & (pixel < limit)).all(-1) & (a[:, 2] > 0)
+        found |= towards & ((pixel >= 0) & (pixel < limit)).all(-1)[faces].any(-1) & (a[:, 2] > 0)
     return found
 
 

@@ -6,10 +6,11 @@ A baseline of the paper's Table 1; https://arxiv.org/abs/2312.02214 and its publ
     2. A network of its neutral place and the facial parameters gives Δμ, Δr and Δs; the mesh gives the rest.
     3. There is no density control: Huber loss, the mouth weighing 40 times more, and late a perceptual term.
 
-What this project cannot have, and takes instead: FLAME's texture layout (heads here come without it) – a strip that
-gives room by area, `layout`; the parsed mouth – the convex hull of the projected lips; the parsed head – the
-foreground; LPIPS – the project's perceptual loss, named in provenance.json. The authors train before green
-(`--background 0,1,0`) on head and neck only; for a fair table background and foreground are everybody's.
+What this project cannot have, and takes instead: FLAME's texture layout – a strip of triangles (`layout`), since heads
+here have no layout or one for pictures, where pieces hide their own backs; the parsed mouth – the convex hull of the
+projected lips; the parsed head – the foreground; LPIPS – the project's perceptual loss, named in provenance.json. The
+authors train before green (`--background 0,1,0`) on head and neck only; for a fair table background and foreground are
+everybody's.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ from ggavatar.geometry import project, quaternion_multiply
 from ggavatar.head.model import HeadModel
 from ggavatar.hulls import hull_mask
 from ggavatar.losses import huber
-from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
+from ggavatar.methods.ggavatar import region_boxes
+from ggavatar.perceptual import CropSampler
+from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import POSE_FEATURES, HeadPoses
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
@@ -56,7 +59,9 @@ class Config:
     """Texels along an edge of the texture (code's default; 256 in GGAvatar's comparison)."""
     layout: Literal["strip", "head"] = "strip"
     """Texture layout: one that is made for the head, or the head file's own if it has one."""
-    unseen_room: float = 0.25
+    room_power: float = 0.5
+    """Power of a triangle's area that is its room in the strip: 1 is even in area, 0 the mesh's own density (ours)."""
+    unseen_room: float = 0.1
     """Room of a triangle in the strip if no training frame can show it, against one of equal area (ours)."""
     boundary: Literal["keep", "drop"] = "keep"
     """Texels at the lower rim of the mesh: kept (GGAvatar's comparison) or dropped (FlashAvatar)."""
@@ -95,16 +100,16 @@ class Config:
     """Difference from which the Huber loss is linear (paper, code)."""
     mouth_weight: float = 40.0
     """Weight of the Huber loss inside the lips, on top of that of the whole image (paper, code)."""
-    perceptual_weight: float = 0.02
-    """Weight of the perceptual loss; 0.05 of LPIPS in the code, of which this project's is about 2.5 times."""
+    perceptual_weight: float = 0.005
+    """Weight of the perceptual loss; 0.05 in the code, of LPIPS, which is a tenth of this for pictures much alike."""
     perceptual_iterations: int = 15_000
     """Iterations before the perceptual loss begins (code)."""
     perceptual_mode: Literal["image", "crops"] = "image"
     """Perceptual loss on the whole image in every step (code), or on crops in some at the same expected weight."""
     crop_side: int = 128
     """Side of a crop, px."""
-    crop_probability: float = 0.2
-    """Share of the steps with a crop."""
+    crop_probability: float = 1.0
+    """Share of the steps with a crop; rare crops, weighing more, would drown the small Huber loss when they come."""
 
 
 VARIANTS: dict[str, dict[str, Any]] = {"uv_256": {"texels": 256}}
@@ -116,8 +121,7 @@ SHORT: dict[str, Any] = {
     "first_colors": "frames",
     "network_rate": 1e-3,
     "perceptual_mode": "crops",
-    "crop_side": 96,
-    "crop_probability": 0.1,
+    "crop_side": 64,
 }
 """What a training of a few thousand steps on a CPU changes."""
 
@@ -147,9 +151,9 @@ class FlashAvatar(nn.Module):
         self.network = make_network(config, scene)
         self.network_optimizer = torch.optim.Adam(self.network.parameters(), config.network_rate, fused=True)
         self.rows = first_rows(config, samples)
-        self.crops = CropSampler(config.crop_side, config.crop_probability)
+        crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
-        self._perceptual: list[PerceptualLoss] = []
         self._kept_encoding: Tensor | None = None
         self.register_load_state_dict_post_hook(lambda *_: self._forget())
         drive = scene.drives[0] if scene.drives else self.head.neutral_drive()
@@ -171,7 +175,8 @@ class FlashAvatar(nn.Module):
             "mouth": config.mouth_weight * huber(rendering.image * mask, frame.image * mask, config.huber_delta),
         }
         if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps):
-            terms.update(self._perceptual_term(frame, rendering, step))
+            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            terms.update(self.perceptual(rendering.image * frame.alpha, frame.image * frame.alpha, step, boxes))
         return terms
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
@@ -186,8 +191,7 @@ class FlashAvatar(nn.Module):
     def notes(self) -> dict[str, str]:
         """What a reader of the results must know: where Gaussians are, and which features the perceptual loss used."""
         layout = self.config.layout if self.head.uv is not None else "strip"
-        found = {"texture_layout": f"{layout}, {len(self.rows)} texels"}
-        return {**found, "perceptual_loss": self._perceptual[0].name} if self._perceptual else found
+        return {"texture_layout": f"{layout}, {len(self.rows)} texels", **self.perceptual.notes()}
 
     def _samples(self) -> SurfaceSamples:
         return SurfaceSamples(self.rows["face"], self.rows["weights"])
@@ -235,20 +239,6 @@ class FlashAvatar(nn.Module):
             return frame.image.new_zeros(height, width, 1)
         lips = self.head.vertices(frame.drive)[self.head.regions[name]]
         return hull_mask(project(lips, frame.camera.intrinsics, frame.camera.world_to_camera), height, width)
-
-    def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
-        """The perceptual loss of the foreground, or of a crop of it at 1/chance of the weight."""
-        if not self._perceptual:
-            self._perceptual.append(perceptual_loss().to(frame.image.device))
-        weight, window = self.config.perceptual_weight, (slice(None), slice(None))
-        if self.config.perceptual_mode == "crops":
-            height, width = frame.image.shape[:2]
-            drawn = self.crops.draw(height, width, seeded(self.scene.seed, 3, step), mask_boxes(self._mouth(frame)))
-            if drawn is None:
-                return {}
-            window, weight = drawn, weight / self.crops.probability
-        ours, theirs = (image * frame.alpha for image in (rendering.image, frame.image))
-        return {"perceptual": weight * self._perceptual[0](ours[window], theirs[window])}
 
 
 class Moved(NamedTuple):
@@ -330,7 +320,7 @@ def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSa
         touching = open_rim(head.template, head.faces) if rim is None else torch.isin(head.faces, rim).any(-1)
         allowed = ~touching
     if config.layout == "strip" or head.uv is None:
-        room = face_areas(head.neutral(), head.faces) * allowed
+        room = face_areas(head.neutral(), head.faces) ** config.room_power * allowed
         room = room * torch.where(_ever_seen(scene, poses), 1.0, config.unseen_room)
         count = min(round(config.texels**2 * FLAME_COVERAGE), scene.max_gaussians)
         return strip_samples(head.neutral(), head.faces, room, count)
@@ -350,11 +340,3 @@ def _ever_seen(scene: Scene, poses: HeadPoses) -> Tensor:
     chosen = spaced(tuple(range(len(scene.drives))), VIEWS)
     posed = [poses.hold_torso(scene.head.vertices(scene.drives[row]), scene.drives[row], scene.head) for row in chosen]
     return ever_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)
-
-
-def mask_boxes(mask: Float[Tensor, "H W 1"]) -> list[tuple[float, float, float, float]]:
-    """The bounds of a mask as one box (left, top, right, bottom, px), or none if it is empty."""
-    rows, columns = mask[:, :, 0].any(1).nonzero(), mask[:, :, 0].any(0).nonzero()
-    if not len(rows):
-        return []
-    return [(float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1))]

@@ -95,9 +95,12 @@ def test_facing_is_seen_from_one_side_and_within_the_image_only() -> None:
     camera = Camera(intrinsics, pose, 100, 100)
     assert ever_facing([SQUARE], [camera], HALVES).tolist() == [True, True]
     assert ever_facing([SQUARE], [camera], HALVES.flip(1)).tolist() == [False, False]
-    aside = dataclasses.replace(camera, width=50)
-    assert ever_facing([SQUARE], [aside], HALVES).tolist() == [False, True]  # centres at x = 2/3 and 1/3
-    assert ever_facing([SQUARE, SQUARE], [aside, camera], HALVES).all()
+    aside = dataclasses.replace(camera, width=50)  # shows x < 0.5 only
+    assert ever_facing([SQUARE], [aside], HALVES).tolist() == [True, True]
+    right = torch.stack((SQUARE, SQUARE + torch.tensor([1.0, 0, 0]))).flatten(0, 1)
+    both = torch.cat((HALVES, HALVES + 4))
+    assert ever_facing([right], [aside], both).tolist() == [True, True, False, False]
+    assert ever_facing([right - torch.tensor([1.0, 0, 0]), right], [aside, aside], both).all()
     assert not ever_facing([], [], HALVES).any()
 
 
