@@ -151,7 +151,7 @@ def _labels(run: Run, summary: dict[str, Any]) -> Labels:
         "training_split": run.config.split,
     }
     if "file" in run.provenance:
-        origin = f"{run.method}: opened from {run.provenance['file']}; its training frames are not known"
+        origin = f"opened from {run.provenance['file']}; its training frames are not known"
         return Labels(run.capture.subject, run.method, None, costs, where, (origin,))
     notes = () if run.provenance.get("finished", True) else (f"the training was not finished (step {run.step})",)
     return Labels(run.capture.subject, run.method, run.config.seed, costs, where, notes)

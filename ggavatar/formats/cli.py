@@ -125,8 +125,17 @@ def _export_run(arguments: Arguments) -> list[str]:
     else:
         written = export_splats(run, poses, arguments.format, path, arguments.overwrite)
         after = _after_splats(path, arguments.format, len(poses))
-    notes = [f"note: {note}" for note in written.notes]
+    notes = [f"note: {note}" for note in (*written.notes, *_drawn_otherwise(run.method))]
     return [f"wrote {written.path} ({_counted(len(poses), written.gaussians)})", *notes, f"next: {after}"]
+
+
+def _drawn_otherwise(method: str) -> list[str]:
+    """A word about methods that are not made to be drawn as Gaussians."""
+    from ggavatar.registry import load
+
+    if not hasattr(load(method).module, "rasterizer"):
+        return []
+    return [f"{method} has a renderer of its own; viewers of Gaussians draw it otherwise"]
 
 
 def _default_path(arguments: Arguments, names: Sequence[str]) -> Path:

@@ -100,12 +100,13 @@ def _one_ball() -> Gaussians:
 def test_orbit_without_a_capture(
     plain: Path, bound: Path, capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    orbit = ("--orbit", "--views", 3, "--width", 64)
+    monkeypatch.setattr("evaluate.lone_file.SIDE", 64)
+    orbit = ("--orbit", "--views", 3)
     assert render(monkeypatch, plain, *orbit) == 0
     folder = tmp_path / "baked" / "renders" / "orbit"
     assert len(list((folder / "frames").iterdir())) == 3 and (folder / "novel_views.png").is_file()
     front = read_rgb(folder / "frames" / "000000.png")
-    assert (front < 200).any() and (front[[0, -1]] == 255).all(), "all of it is in the picture"
+    assert (front < 200).any() and (front[[0, -1]] > 240).all(), "all of it is in the picture"
     assert render(monkeypatch, bound, *orbit) == 2
     assert render(monkeypatch, bound, *orbit, "--head-model", capture.head_path) == 0
     assert render(monkeypatch, bound, *orbit, "--capture", capture.folder, "--overwrite") == 0

@@ -189,6 +189,15 @@ def test_methods_without_a_binding_are_bound_to_the_nearest(
     assert psnr(ours, theirs) > 70
 
 
+def test_methods_with_a_renderer_of_their_own_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from ggavatar import registry
+    from ggavatar.formats.cli import _drawn_otherwise
+
+    assert _drawn_otherwise("ggavatar") == []
+    monkeypatch.setattr(registry.load("ggavatar").module, "rasterizer", object(), raising=False)
+    assert "renderer of its own" in _drawn_otherwise("ggavatar")[0]
+
+
 def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path) -> None:
     run = open_run(run_folder)
     head = load_head(run.capture.head_path)
