@@ -46,7 +46,7 @@ def _evaluate(options: Options) -> int:
         written += _visuals(options, evaluations, folder, console)
     if options.table:
         console.print()
-        for table in (table for table in tables if table.name != "detail"):
+        for table in (table for table in tables if table.name not in ("detail", "sources")):
             show(table, console)
     checks = limits.checks(evaluations)
     if options.gates.junit:

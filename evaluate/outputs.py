@@ -17,6 +17,7 @@ from evaluate.comparison_table import Study, ablation_table, studies, subjects_t
 from evaluate.detail_table import detail_table, efficiency_table, significance_table
 from evaluate.paper_table import ablation_with_paper, paper_table_1, paper_table_2, with_paper
 from evaluate.results import Evaluation, to_json, write_text
+from evaluate.sources_table import sources_table
 from evaluate.table import Table
 
 RENDERERS = {
@@ -28,7 +29,7 @@ RENDERERS = {
 
 
 def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper: bool = False) -> list[Table]:
-    """The main table of every protocol, followed by details, paired differences and costs.
+    """The main table of every protocol, followed by paired differences, costs, details and what was scored.
 
     Args:
         evaluations: Any number, in the order in which subjects and methods shall appear.
@@ -43,7 +44,7 @@ def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper:
     for study in studies(evaluations):
         tables.append(_main_table(study, layout, paper))
         tables += [found for found in (significance_table(study), efficiency_table(study)) if found]
-        tables.append(detail_table(study))
+        tables += [detail_table(study), sources_table(study)]
     return tables
 
 

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 from evaluate.table import Table
 
-FIELDS = ("table", "section", "row", "group", "column", "value", "deviation_over_seeds", "text", "mark", "reason")
+WHERE = ("table", "section", "row", "group", "column")
+FIELDS = (*WHERE, "value", "deviation_over_seeds", "text", "mark", "reason", "protocol")
 
 
 def to_csv(tables: Sequence[Table]) -> str:
@@ -22,7 +23,7 @@ def to_csv(tables: Sequence[Table]) -> str:
             for column, cell in zip(table.columns, row.cells, strict=True):
                 numbers = ["" if value is None else repr(value) for value in (cell.value, cell.deviation)]
                 where = [table.name, row.section, row.label, column.group, column.title]
-                writer.writerow([*where, *numbers, cell.text, cell.mark, cell.reason])
+                writer.writerow([*where, *numbers, cell.text, cell.mark, cell.reason, table.protocol])
     return stream.getvalue()
 
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from evaluate.catalogue import metric_of, title_of
@@ -18,11 +19,13 @@ from evaluate.render_table_html import STYLE, to_fragment
 from evaluate.report_pictures import report_pictures
 from evaluate.results import Evaluation, write_text
 from evaluate.shown import Shown, measured, names_of, worst_frames
+from evaluate.sources_table import ranges
 from evaluate.table import Table
 from ggavatar.errors import InputError
 
 TEMPLATE = "report.html"
 WORST = 6
+FOLDED = MappingProxyType({"detail": "All metrics", "sources": "What was scored"})
 
 
 def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) -> None:
@@ -78,9 +81,9 @@ def report_data(shown: Sequence[Shown], megabytes: float) -> dict[str, Any]:
 
 
 def _table(table: Table) -> str:
-    """A table as HTML; the long one is folded."""
-    fragment = to_fragment(table)
-    return f"<details><summary>All metrics</summary>{fragment}</details>" if table.name == "detail" else fragment
+    """A table as HTML; long ones are folded."""
+    fragment, title = to_fragment(table), FOLDED.get(table.name)
+    return f"<details><summary>{title}</summary>{fragment}</details>" if title else fragment
 
 
 def _metric(name: str, main: bool) -> dict[str, Any]:
@@ -129,19 +132,7 @@ def _protocol(evaluation: Evaluation) -> dict[str, Any]:
     protocol = evaluation.protocol
     words = {"id": protocol.id, "digest (SHA-256)": protocol.digest, **protocol.as_dict()}
     defined = {f"definition of {name}": metric_of(name).definition for name in protocol.metrics}
-    return {**words, **defined, "test frames": f"{len(evaluation.frames)}: {_ranges(evaluation.frames)}"}
-
-
-def _ranges(frames: Sequence[int], most: int = 40) -> str:
-    """Frame numbers with runs joined, such as 0, 20, 40–43; long lists are cut in the middle."""
-    runs: list[list[int]] = []
-    for frame in frames:
-        if runs and frame == runs[-1][1] + 1:
-            runs[-1][1] = frame
-        else:
-            runs.append([frame, frame])
-    words = [str(first) if first == last else f"{first}–{last}" for first, last in runs]
-    return ", ".join(words if len(words) <= most else [*words[: most // 2], "…", *words[-most // 2 :]])
+    return {**words, **defined, "test frames": f"{len(evaluation.frames)}: {ranges(evaluation.frames)}"}
 
 
 def _provenance(evaluation: Evaluation, name: str) -> str:

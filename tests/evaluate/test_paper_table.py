@@ -183,8 +183,8 @@ def test_our_tables_compile_and_fit_the_page(tmp_path: Path, options: str) -> No
     regions = PROTOCOL.override(regions=tuple(f"part{k}" for k in range(30)))
     long = build_tables([evaluation("Anna", "ggavatar", protocol=regions)])
     tables = [*build_tables(runs, paper=True), *build_tables(runs[:4], "ablation", paper=True), *long]
-    assert len({row.section for row in tables[2].rows}) > 10 and len({row.section for row in tables[-1].rows}) == 1
-    assert min(len(tables[2].rows), len(tables[-1].rows)) > TALL
+    tall = [table for table in tables if len(table.rows) > TALL]
+    assert {len({row.section for row in table.rows}) > 1 for table in tall} == {True, False}
     text = pdf_pages(tmp_path, tables, options)
     assert "50% of #4 & {B_b}" in text
     assert "no weights: alexnet_features.pth" in " ".join(text.split())

@@ -47,6 +47,7 @@ def recompute(folder: Path, script: str) -> subprocess.CompletedProcess[str]:
 def test_every_printed_number_is_found_again(tmp_path: Path) -> None:
     write_study(tmp_path)
     tables = json.loads((tmp_path / "tables" / "table.json").read_text())["tables"]
+    tables = [table for table in tables if table["name"] != "sources"]
     paper = "paper (protocol not stated)"
     cells = [cell for table in tables for row in table["rows"] if row["section"] != paper for cell in row["cells"]]
     printed = [cell for cell in cells if re.search(r"\d", cell["text"])]

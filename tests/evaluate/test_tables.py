@@ -16,8 +16,10 @@ from evaluate.detail_table import detail_table, efficiency_table, significance_t
 from evaluate.outputs import build_tables
 from evaluate.render_table_data import to_csv, to_json
 from evaluate.render_table_html import to_page
+from evaluate.render_table_latex import to_latex
 from evaluate.render_table_markdown import to_markdown
 from evaluate.render_table_terminal import parts, show
+from evaluate.sources_table import ranges
 from evaluate.table import BEST, DASH, SECOND, Cell, Column, Row, Table, missing_cell, number_cell, ranks
 from ggavatar.errors import InputError
 
@@ -166,6 +168,25 @@ def test_costs_are_shown_with_what_the_speed_includes() -> None:
     assert efficiency_table(studies([evaluation("Anna", "a")])[0]) is None
 
 
+def test_every_format_says_what_was_scored() -> None:
+    frames = (0, 20, 21, 22, *range(40, 200, 20))
+    digests = {"predictions": "a1" * 32, "ground_truth": "b2" * 32}
+    run = evaluation("Anna", "a", [30.0] * 12, [0.9] * 12, [0.1] * 12, 7)
+    run = dataclasses.replace(run, frames=frames, hashes=digests)
+    tables = build_tables([run, evaluation("Anna", "b")])
+    row = tables[-1].rows[0]
+    assert row.label == "Anna · a, seed 7"
+    assert row.cells[0].text == "0, 20–22, 40, 60, …, 120, 140, 160, 180"
+    assert row.cells[0].reason == "0, 20–22, 40, 60, 80, 100, 120, 140, 160, 180"
+    assert [cell.reason for cell in row.cells[1:]] == [PROTOCOL.digest, *digests.values()]
+    assert ranges((3, 5, 6)) == "3, 5–6"
+    for render in (to_markdown, to_latex, to_csv, to_page, to_json):
+        text = render(tables).replace("\\_", "_")
+        assert PROTOCOL.id in text and PROTOCOL.digest[:16] in text, render
+        assert "a1" * 8 in text and "b2" * 8 in text, render
+        assert "20–22" in text or "20--22" in text, render
+
+
 def test_markdown_is_exact() -> None:
     table = subjects_table(studies([evaluation("A|b", "x_y"), evaluation("A|b", "z", (29.0, 30.0))])[0])
     lines = to_markdown([table]).splitlines()
@@ -183,7 +204,7 @@ def test_json_and_csv_hold_unrounded_numbers_marks_and_reasons() -> None:
     assert "alexnet" in cells[5]["reason"]
     lines = to_csv(tables).splitlines()
     assert lines[0].startswith("table,section,row,group,column,value")
-    assert "comparison,,Anna,GGAvatar,PSNR ↑,33.5,,33.50,best," in lines
+    assert f"comparison,,Anna,GGAvatar,PSNR ↑,33.5,,33.50,best,,{PROTOCOL.id}" in lines
     assert sum(table_cells(tables)) == len(lines) - 1
 
 

@@ -1,0 +1,48 @@
+"""What was scored: the frames of every evaluation, and digests of the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from evaluate.comparison_table import Study, printed
+from evaluate.results import Evaluation
+from evaluate.table import Cell, Column, Row, Table, missing_cell
+
+SHOWN = 16
+"""Characters of a SHA-256 that are printed; the cell's reason holds all of them."""
+
+
+def sources_table(study: Study) -> Table:
+    """One row per evaluation: its test frames and the SHA-256 of renders and ground truth."""
+    columns = tuple(Column(title) for title in ("test frames", "protocol digest", "renders", "ground truth"))
+    rows = tuple(Row(_label(run), _cells(run)) for run in study.evaluations)
+    caption = f"What was scored under {study.protocol.id}: SHA-256 of the protocol and of the pictures."
+    notes = (
+        f"Of pictures it is taken over the lines FRAME SHA256-OF-FILE in ascending order. Cut to {SHOWN} characters; "
+        "metrics.json has all.",
+    )
+    return Table("sources", caption, "Evaluation", columns, rows, notes, protocol=study.protocol.id)
+
+
+def _label(run: Evaluation) -> str:
+    return f"{run.subject} · {printed(run.method)}" + ("" if run.seed is None else f", seed {run.seed}")
+
+
+def _cells(run: Evaluation) -> tuple[Cell, ...]:
+    digests = [run.protocol.digest, *(run.hashes.get(kind, "") for kind in ("predictions", "ground_truth"))]
+    known = [Cell(digest[:SHOWN], reason=digest) if digest else missing_cell("not recorded") for digest in digests]
+    return Cell(ranges(run.frames, 8), reason=ranges(run.frames)), *known
+
+
+def ranges(frames: Sequence[int], most: int | None = None) -> str:
+    """Frame numbers with runs joined, such as 0, 20, 40–43; lists of more than `most` parts are cut in the middle."""
+    runs: list[list[int]] = []
+    for frame in frames:
+        if runs and frame == runs[-1][1] + 1:
+            runs[-1][1] = frame
+        else:
+            runs.append([frame, frame])
+    words = [str(first) if first == last else f"{first}–{last}" for first, last in runs]
+    if most is None or len(words) <= most:
+        return ", ".join(words)
+    return ", ".join([*words[: most // 2], "…", *words[-most // 2 :]])
