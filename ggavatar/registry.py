@@ -3,7 +3,8 @@
 Its VARIANTS are further methods, named `file_variant`.
 
 A method's file offers `Config` (a frozen dataclass), `build(config, scene) -> Avatar`, `VARIANTS` (overrides of
-Config by variant) and, if it wants, `PRESETS` (overrides of Config by preset). Names and descriptions are read from
+Config by variant) and, if it wants, `PRESETS` (overrides of Config by preset) and `rasterizer(device, backend)` (a
+renderer of its own). Names and descriptions are read from
 the source; a method is imported when it is used.
 """
 
@@ -50,6 +51,12 @@ class Method:
     def build(self, config: Any, scene: Any) -> Any:
         """The avatar before its first step."""
         return self.module.build(config, scene)
+
+    def rasterizer(self, device: str, backend: str) -> Any:
+        """What draws its avatars: the method's own renderer if its file has one, else that of the device."""
+        from ggavatar.render.pick import pick  # torch, which names() does without
+
+        return getattr(self.module, "rasterizer", pick)(device, backend)
 
 
 def names() -> dict[str, str]:

@@ -29,7 +29,6 @@ from ggavatar.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.core import Frame, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.render.pick import pick
 from ggavatar.scene import Scene
 from ggavatar.schedule import Training
 from ggavatar.settings import from_plain, to_plain
@@ -135,7 +134,7 @@ def open_run(
         capture=opened,
         split=split,
         background=scene.background,
-        rasterize=pick(device, backend),
+        rasterize=method.rasterizer(device, backend),
         config=config,
         provenance=_read(folder / "provenance.json"),
         step=record["step"],

@@ -19,7 +19,6 @@ from ggavatar import registry
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.progress import Line, Listener, Silence, peak_memory_mib
-from ggavatar.render.pick import pick
 from ggavatar.runs import (
     RunConfig,
     assemble,
@@ -126,9 +125,9 @@ def make_trainer(
     output: Path, config: RunConfig, capture: Capture, split: Split, listener: Listener | None = None
 ) -> Trainer:
     """A trainer before its first step."""
-    rasterize = pick(config.device, config.backend)
-    scene, reader = assemble(config, capture, split, config.device, rasterize)
     method = registry.load(config.method)
+    rasterize = method.rasterizer(config.device, config.backend)
+    scene, reader = assemble(config, capture, split, config.device, rasterize)
     avatar = method.build(method.config_from(config.method_config, f"method {config.method}"), scene)
     return Trainer(
         avatar, reader, split, rasterize, scene.background, config.training, config.seed, output, listener or Silence()

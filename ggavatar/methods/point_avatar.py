@@ -1,0 +1,383 @@
+"""PointAvatar (Zheng et al. 2023): canonical points with learned motion, albedo and normals, drawn as discs.
+
+Lengths inside are quarter metres, as in the authors' code, whose FLAME is four times as large; `UNIT` converts. The
+camera stands still for them and the head turns; here the head may stand still instead, so their joint that never
+moves is the torso held before the camera, and normals are shaded as the camera sees them: the same up to a rigid
+motion of everything.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import interpolate, mse_loss, normalize
+
+from ggavatar.core import Drive, Frame, Rasterizer, Rendering
+from ggavatar.finetuning import CorrectionRates, DriveCorrections
+from ggavatar.geometry import axis_angle_to_matrix, invert_rigid
+from ggavatar.losses import l1
+from ggavatar.methods.ggavatar import region_boxes
+from ggavatar.perceptual import CropSampler
+from ggavatar.perceptual_term import PerceptualTerm
+from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
+from ggavatar.points.deformer import Features, PointDeformer
+from ggavatar.points.head_targets import HeadTargets, pose_features
+from ggavatar.points.point_cloud import CloudSchedule, PointCloud
+from ggavatar.points.rowwise import rowwise
+from ggavatar.points.shading import ShadingNetwork, shaded
+from ggavatar.points.skinning import Bones, deform, deformed_normals
+from ggavatar.pose import HeadPoses
+from ggavatar.render.disc_values import DiscRendering, Discs, similar_scale
+from ggavatar.render.discs import rasterizer as disc_rasterizer
+from ggavatar.scene import Scene
+from ggavatar.schedule import log_linear, seeded
+
+UNIT = 4.0
+"""Units of length of points and networks per metre."""
+
+PERCEPTUAL_SIZE = 224
+"""Side that images are resized to for VGG, px."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every number of the method. Epochs are those of the authors' 62 and scale with the length of the training."""
+
+    points: int = 400
+    """Points at first (authors' code)."""
+    sphere: float = 0.5
+    """Radius of the sphere they begin on, quarter metres (authors' code)."""
+    radius_factor: float = 0.3
+    """Radius of the discs of 100 points, normalised device coordinates (authors' code)."""
+    max_points: int = 240_000
+    """No doubling may lead to more points (GGAvatar, Sec. 4.1); the training's own limit holds too."""
+    epochs: int = 62
+    """Length of the training (authors' code; A34)."""
+    upsampling_epochs: int = 5
+    """Epochs between two doublings (authors' code)."""
+    pruning_frames: int = 1
+    """Fewest frames between two prunings, which otherwise come every epoch; ours, since short epochs see few poses."""
+    pruning_radius: float = 0.006
+    """No pruning once discs are smaller, normalised device coordinates (authors' code)."""
+
+    rate: float = 1e-4
+    """Learning rate of points and networks (authors' code)."""
+    rate_left: float = 1.0
+    """Share of the rate that is left in the last step; the authors' decay never acts (docs/paper.md)."""
+    tracking_rate: float = 5e-4
+    """Learning rate of corrections of training frames, rad and quarter metres; 0 is none (authors' code)."""
+    tracking_epochs: int = 10
+    """Epochs before they begin (authors' code)."""
+    jaw: float = 0.4
+    """Opening of the jaw in the canonical pose, rad; the expression in it is the mean one (authors' code)."""
+    pose_on: Literal["camera", "neck"] = "camera"
+    """What the head model's root joint follows: the head (the authors), or the torso, as in ggavatar (A12)."""
+
+    mask_weight: float = 1.0
+    """Weight of the mean absolute difference between coverage and mask (authors' code)."""
+    perceptual_weight: float = 0.1
+    """Weight of the VGG loss (authors' code)."""
+    perceptual_mode: Literal["image", "crops"] = "image"
+    """VGG loss on the image resized to 224 px, or on crops in some steps at the same expected weight."""
+    crop_side: int = 64
+    """Side of a crop, px."""
+    crop_probability: float = 0.5
+    """Share of the steps with a crop."""
+    distance_weight: float = 1.0
+    """Weight of the mean squared signed distance of points (authors' code)."""
+    eikonal_weight: float = 0.1
+    """Weight of the mean squared difference of the gradient's length from 1 (authors' code)."""
+    neighbours: float = 0.25
+    """Reach of the random neighbours at which it is looked at too, quarter metres (authors' code)."""
+    head_weight: float = 10.0
+    """Weight of the head model's targets, halved at every milestone (authors' code)."""
+    head_milestones: tuple[int, ...] = (10, 20, 30, 40)
+    """Epochs at which it is halved (authors' code)."""
+    regularised: int = 0
+    """Points drawn in a step for the terms on geometry and head model, the same in expectation; 0 is all of them."""
+
+
+SHORT: dict[str, Any] = {
+    "max_points": 20_000,
+    "pruning_frames": 100,
+    "rate": 1e-3,
+    "rate_left": 0.1,
+    "pose_on": "neck",
+    "perceptual_mode": "crops",
+    "regularised": 256,
+}
+"""What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
+
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+
+
+def build(config: Config, scene: Scene) -> PointAvatar:
+    """The avatar before its first step."""
+    return PointAvatar(config, scene).to(scene.background.device)
+
+
+def rasterizer(device: torch.device | str, backend: str = "auto") -> Rasterizer:
+    """What draws this method's discs."""
+    return disc_rasterizer(device, backend)
+
+
+class Canonical(NamedTuple):
+    """What is known of the points before any drive."""
+
+    surface: Surface
+    features: Features | None
+
+
+class Pose(NamedTuple):
+    """What a drive says to all points: correctives, the camera's axes, and the bones of both poses."""
+
+    correctives: Float[Tensor, " B"]
+    head_to_camera: Float[Tensor, "3 3"]
+    canonical_rotations: Float[Tensor, "J 3 3"]
+    canonical_offsets: Float[Tensor, "J 3"]
+    rotations: Float[Tensor, "J 3 3"]
+    offsets: Float[Tensor, "J 3"]
+
+
+class PointAvatar(nn.Module):
+    """The avatar: points, the network of their surface, the one of their motion, the one of their shading."""
+
+    steps_done: Tensor
+
+    def __init__(self, config: Config, scene: Scene) -> None:
+        super().__init__()
+        self.config, self.scene, self.head = config, scene, scene.head
+        drives = scene.drives or (self.head.neutral_drive(),)
+        self.poses = HeadPoses.of(self.head, drives)
+        self.canonical_drive = canonical_drive(config, scene)
+        coefficients = torch.stack([_coefficients(drive) for drive in drives])
+        self.targets = HeadTargets.of(self.head, self.canonical_drive, coefficients, UNIT)
+        self.cloud = PointCloud(config.points, config.sphere, config.radius_factor, config.rate, self._random(1))
+        self.surface = CanonicalNetwork(CanonicalConfig(), self._random(2))
+        shapes = pose_features(self.head) + coefficients.shape[1]
+        self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._random(3))
+        self.shading = ShadingNetwork(self._random(4))
+        networks = [*self.surface.parameters(), *self.deformer.parameters(), *self.shading.parameters()]
+        self.optimizer = torch.optim.Adam(networks, lr=config.rate, betas=(0.9, 0.999), eps=1e-8, fused=True)
+        self.corrections = corrections(config, scene)
+        self.corrections_optimizer = sparse_adam(config, self.corrections)
+        crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
+        self.schedule = cloud_schedule(config, scene)
+        self.metres = metres_per_device_unit(scene)
+        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
+        self._kept: Canonical | None = None
+        self._looked_at: Surface | None = None
+
+    @property
+    def epoch(self) -> int:
+        """Epoch of the next step, from 0."""
+        return int(self.steps_done) // self.schedule.epoch
+
+    def gaussians(self, drive: Drive) -> Discs:
+        """The points posed by `drive`, in world space, with the colours that they show the camera."""
+        drive = self._corrected(drive)
+        canonical, pose = self._canonical(), self._pose(drive)
+        if torch.is_grad_enabled():
+            parameters = [*self.deformer.parameters(), *self.shading.parameters()]
+            points, colors = rowwise(self._pose_rows, (self.cloud.points, *canonical.surface[1:]), pose, parameters)
+        else:
+            points, colors = self._posed(self.cloud.points, canonical, pose)
+        means, radius = points / UNIT + drive.translation, float(self.cloud.radius)
+        one = torch.ones_like(means)
+        quats = torch.cat((one[:, :1], torch.zeros_like(one)), dim=1)
+        return Discs(means, quats, similar_scale(radius, self.metres) * one, one[:, 0], colors, radius=radius)
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
+        """Image, coverage and VGG; the surface's two terms; the head model's three."""
+        config = self.config
+        terms = {"l1": l1(rendering.image, frame.image), "mask": config.mask_weight * l1(rendering.alpha, frame.alpha)}
+        if config.perceptual_weight:
+            terms |= self._perceptual_term(frame, rendering, step)
+        count, generator = len(self.cloud.points), seeded(self.scene.seed, 5, step)
+        some = torch.randperm(count, generator=generator)[: config.regularised or count].to(rendering.image.device)
+        terms |= self._surface_terms(some, generator)
+        weight = config.head_weight * 0.5 ** sum(milestone <= self.epoch for milestone in config.head_milestones)
+        points = self.cloud.points[some]
+        bases = self.deformer.bases(points)
+        targets = self.targets.losses(bases, points + bases.offsets)
+        return terms | {name: weight * value for name, value in targets.items()}
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        """Adam on the points, Adam on the networks, and the one of the corrections."""
+        further = [self.corrections_optimizer] if self.corrections_optimizer else []
+        return [self.cloud.rows.optimizer, self.optimizer, *further]
+
+    @torch.no_grad()
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        """Prune and double the points; the rate of the next step."""
+        assert isinstance(rendering, DiscRendering)
+        self.cloud.advance(step, rendering.shown, self.schedule, seeded(self.scene.seed, 6, step))
+        rate = log_linear(step, self.config.rate, self.config.rate * self.config.rate_left, self.scene.steps)
+        for optimizer in (self.cloud.rows.optimizer, self.optimizer):
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+        self._looked_at = None
+        self.steps_done.fill_(step)
+
+    def train(self, mode: bool = True) -> PointAvatar:
+        """Switch between training and evaluation; evaluation keeps what does not depend on the drive."""
+        self._kept = None
+        return super().train(mode)
+
+    def notes(self) -> dict[str, str]:
+        """What a reader of the results must know: features of the perceptual loss, and the radius of the discs."""
+        return self.perceptual.notes() | {"disc_radius": f"{float(self.cloud.radius):.5f} of half the shorter side"}
+
+    def _canonical(self) -> Canonical:
+        """The surface at all points and, for as long as nothing learns, the features of their motion."""
+        points = self.cloud.points
+        if torch.is_grad_enabled():
+            self._looked_at = self.surface(points)
+            return Canonical(self._looked_at, None)
+        if self._kept is None or self.training:
+            self._kept = Canonical(self.surface(points), self.deformer.features(points))
+        return self._kept
+
+    def _pose(self, drive: Drive) -> Pose:
+        """What the drive says to all points."""
+        rotation = drive.head_to_camera[:3, :3]
+        return Pose(self._correctives(drive), rotation, *self._bones(self.canonical_drive), *self._bones(drive))
+
+    def _pose_rows(self, rows: Sequence[Tensor], shared: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Posed points and their colours, from points, gradients of the distance and albedo."""
+        points, gradient, albedo = rows
+        canonical = Canonical(Surface(albedo[:, 0], gradient, albedo), self.deformer.features(points))
+        return self._posed(points, canonical, Pose(*shared))
+
+    def _posed(self, points: Tensor, canonical: Canonical, pose: Pose) -> tuple[Tensor, Tensor]:
+        """Posed points, quarter metres, and their colours."""
+        assert canonical.features is not None
+        motion = self.deformer.motion(canonical.features, pose.correctives)
+        deformed = deform(points, motion, Bones(*pose[2:4]), Bones(*pose[4:]))
+        normals = deformed_normals(deformed.tangents, normalize(canonical.surface.gradient, dim=-1))
+        return deformed.points, shaded(self.shading(normals @ pose.head_to_camera.T), canonical.surface.albedo)
+
+    def _surface_terms(self, some: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+        """Points lie on the surface, and its gradient has length 1 at them and around them."""
+        assert self._looked_at is not None, "losses() follows gaussians() of the same step"
+        points = self.cloud.points[some].detach()
+        noise = torch.rand(points.shape, generator=generator).to(points) - 0.5
+        around = self.surface(points + 2 * self.config.neighbours * noise).gradient
+        lengths = torch.cat((self._looked_at.gradient[some], around)).norm(dim=1)
+        return {
+            "distance": self.config.distance_weight * self._looked_at.distance[some].square().mean(),
+            "eikonal": self.config.eikonal_weight * mse_loss(lengths, torch.ones_like(lengths)),
+        }
+
+    def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
+        if self.config.perceptual_mode == "crops":
+            return self.perceptual(rendering.image, frame.image, step, region_boxes(self.head, frame))
+        return self.perceptual(_resized(rendering.image), _resized(frame.image), step)
+
+    def _corrected(self, drive: Drive) -> Drive:
+        """With the corrections of a training frame, which learn once their time has come."""
+        if self.corrections is None:
+            return drive
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self.epoch > self.config.tracking_epochs):
+            return self.corrections(drive)
+
+    def _correctives(self, drive: Drive) -> Float[Tensor, " B"]:
+        """Coefficients of the blendshapes: pose, then expression, then lids, less those of the canonical pose."""
+        posed, canonical = (
+            torch.cat((_pose_feature(one), _coefficients(one))) for one in (drive, self.canonical_drive)
+        )
+        return posed - canonical
+
+    def _bones(self, drive: Drive) -> Bones:
+        """The joint that never moves, then the head's; in the canonical pose all of them are the head's."""
+        rotations, offsets = self.head.joint_transforms(drive)
+        still, shift = torch.eye(3).to(rotations), torch.zeros(3).to(rotations)
+        if drive is not self.canonical_drive:
+            if self.poses.in_camera:
+                torso = invert_rigid(drive.head_to_camera) @ self.poses.reference
+                still, shift = torso[:3, :3], torso[:3, 3]
+                if self.config.pose_on == "neck":
+                    root = torch.arange(len(offsets), device=offsets.device) == self.head.joint("root")
+                    rotations = torch.where(root[:, None, None], still @ rotations, rotations)
+                    offsets = torch.where(root[:, None], offsets @ still.T + shift - drive.translation, offsets)
+            shift = shift - drive.translation
+        return Bones(torch.cat((still[None], rotations)), UNIT * torch.cat((shift[None], offsets)))
+
+    def _random(self, stream: int) -> torch.Generator:
+        return seeded(self.scene.seed, 7, stream)
+
+
+def canonical_drive(config: Config, scene: Scene) -> Drive:
+    """The pose in which points are at home: mean expression and lids of the training, the jaw open."""
+    drive = scene.head.neutral_drive()
+    joints = drive.joint_rotations.clone()
+    if "jaw" in scene.head.joint_names:
+        joints[scene.head.joint("jaw"), 0] = config.jaw
+    drives = scene.drives or (drive,)
+    expression = torch.stack([one.expression for one in drives]).mean(0)
+    lids = torch.stack([one.eyelids for one in drives]).mean(0)
+    return dataclasses.replace(drive, joint_rotations=joints, expression=expression, eyelids=lids)
+
+
+def cloud_schedule(config: Config, scene: Scene) -> CloudSchedule:
+    """The authors' epochs in steps; prunings wait until they have seen enough frames."""
+    epoch = max(scene.steps // config.epochs, 1)
+    pruning = epoch * max(-(-config.pruning_frames // epoch), 1)
+    most = min(config.max_points, scene.max_gaussians)
+    return CloudSchedule(epoch, config.upsampling_epochs, pruning, most, config.pruning_radius)
+
+
+def corrections(config: Config, scene: Scene) -> DriveCorrections | None:
+    """Corrections of the training frames' expression, joints and translation, if there are to be any."""
+    if not config.tracking_rate or not any(drive.frame is not None for drive in scene.drives):
+        return None
+    rate = config.tracking_rate
+    return DriveCorrections(scene.drives, CorrectionRates(rate, rate, rate / UNIT))
+
+
+def sparse_adam(config: Config, module: DriveCorrections | None) -> torch.optim.Optimizer | None:
+    """The authors' SparseAdam: a frame's corrections and moments change when it is seen, and do not coast."""
+    if module is None:
+        return None
+    for parameter in module.parameters():
+        parameter.register_post_accumulate_grad_hook(_make_sparse)
+    groups = [{"params": group["params"], "lr": group["lr"]} for group in module.optimizer.param_groups]
+    return torch.optim.SparseAdam(groups, lr=config.tracking_rate)
+
+
+def _make_sparse(parameter: Tensor) -> None:
+    if parameter.grad is not None:
+        parameter.grad = parameter.grad.to_sparse(1)
+
+
+def metres_per_device_unit(scene: Scene) -> float:
+    """Length at the head's origin of half the shorter side of the image, m, over the training cameras."""
+    lengths = [
+        float(camera.world_to_camera[2, 3] * min(camera.width, camera.height) / 2 / camera.intrinsics[0, 0])
+        for camera in scene.cameras
+    ]
+    return sum(lengths) / len(lengths) if lengths else 1.0
+
+
+def _coefficients(drive: Drive) -> Float[Tensor, " E"]:
+    """Expression coefficients, then lids: blendshapes all of them."""
+    return torch.cat((drive.expression, drive.eyelids))
+
+
+def _pose_feature(drive: Drive) -> Float[Tensor, " P"]:
+    """vec(R − I) of all joints but the root."""
+    rotations = axis_angle_to_matrix(drive.joint_rotations[1:])
+    return (rotations - torch.eye(3).to(rotations)).flatten()
+
+
+def _resized(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "P P 3"]:
+    """To the size that VGG was trained on."""
+    size = (PERCEPTUAL_SIZE, PERCEPTUAL_SIZE)
+    return interpolate(image.permute(2, 0, 1)[None], size, mode="bilinear", align_corners=False)[0].permute(1, 2, 0)

@@ -1,0 +1,1 @@
+"""Canonical points: their surface, how they move, and how they are shaded (PointAvatar)."""

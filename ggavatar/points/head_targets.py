@@ -1,0 +1,85 @@
+"""What the head model says about its own motion, as targets for what points learn (PointAvatar, Sec. 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from ggavatar.core import Drive
+from ggavatar.head.model import HeadModel
+from ggavatar.points.deformer import Bases
+
+COEFFICIENTS = 50
+"""Expression coefficients in PointAvatar, by which it divides."""
+
+
+@dataclass(frozen=True)
+class HeadTargets:
+    """Bases of the head model at the vertices of its canonical pose, lengths in the unit of the points.
+
+    Attributes:
+        tree: Of the vertices in the canonical pose.
+        blendshapes: Pose correctives, then expressions, then lids.
+        weights: The still joint, which no vertex hangs on, then the head's joints.
+        variances: Of every expression coefficient and lid over the training.
+    """
+
+    tree: cKDTree
+    blendshapes: Float[Tensor, "V B 3"]
+    weights: Float[Tensor, "V J"]
+    variances: Float[Tensor, " E"]
+
+    @staticmethod
+    def of(head: HeadModel, canonical: Drive, coefficients: Float[Tensor, "T E"], unit: float) -> HeadTargets:
+        """Targets from a head.
+
+        Args:
+            head: Any head; one without pose correctives wants none of the points.
+            canonical: The canonical pose.
+            coefficients: Expressions and lids of the training frames.
+            unit: Units of length of the points per metre.
+        """
+        vertices = head.vertices(canonical)
+        correctives = head.pose_basis
+        if not correctives.shape[2]:
+            correctives = vertices.new_zeros(len(vertices), 3, pose_features(head))
+        shapes = torch.cat((correctives, head.expression_basis, head.eyelid_basis), dim=2) * unit
+        still = vertices.new_zeros(len(vertices), 1)
+        variances = coefficients.var(0) if len(coefficients) > 1 else torch.ones_like(coefficients[0])
+        least = (0.01 * variances.mean()).clamp_min(1e-6)  # a coefficient that never moves would weigh without bound
+        tree = cKDTree((vertices * unit).double().cpu().numpy())
+        weights = torch.cat((still, head.skinning_weights), dim=1)
+        return HeadTargets(tree, shapes.transpose(1, 2), weights, variances.clamp_min(least))
+
+    def nearest(self, points: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
+        """The vertex next to every point of the canonical pose."""
+        found = self.tree.query(points.detach().double().cpu().numpy())[1]
+        return torch.from_numpy(np.asarray(found)).to(points.device)
+
+    def losses(self, bases: Bases, points: Float[Tensor, "N 3"]) -> Mapping[str, Tensor]:
+        """Mean squared differences from the nearest vertex: `skinning`, `correctives`, `expressions`.
+
+        Args:
+            bases: What was learned at some points.
+            points: Where they are in the canonical pose of the head.
+        """
+        vertex = self.nearest(points)
+        expressions = len(self.variances)
+        apart = (10 * (bases.blendshapes - self.blendshapes[vertex])).square()
+        weighed = apart[:, -expressions:] / self.variances[:, None] / COEFFICIENTS
+        return {
+            "skinning": 0.1 * (bases.weights - self.weights[vertex]).square().mean(),
+            "correctives": 10 * apart[:, :-expressions].sum() / max(apart[:, :-expressions].numel(), 1),
+            "expressions": 10 * weighed.mean(),
+        }
+
+
+def pose_features(head: HeadModel) -> int:
+    """Entries of vec(R − I) of all joints but the root."""
+    return 9 * (len(head.parents) - 1)

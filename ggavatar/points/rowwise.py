@@ -1,0 +1,84 @@
+"""Functions of rows, block by block: activations stay in the cache, and rows that no loss looks at get no backward.
+
+In a picture of points most are hidden, and their colour has no gradient. The forward pass keeps nothing; the backward
+pass repeats it for the rows whose outputs have a gradient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+BLOCK = 512
+"""Rows at a time."""
+
+RowFunction = Callable[[Sequence[Tensor], Sequence[Tensor]], tuple[Tensor, ...]]
+
+
+def rowwise(
+    function: RowFunction, rows: Sequence[Tensor], shared: Sequence[Tensor], parameters: Sequence[Tensor]
+) -> tuple[Tensor, ...]:
+    """The outputs of `function(rows, shared)`, differentiable in rows, shared tensors and parameters.
+
+    Args:
+        function: Gives tensors whose row k depends on row k of the inputs alone; besides its arguments it may read
+            `parameters`, but no other tensor that wants a gradient.
+        rows: Tensors of equal length.
+        shared: Further tensors, the same for all rows.
+        parameters: Leaves that `function` reads by itself.
+    """
+    return tuple(_Rowwise.apply(function, len(rows), len(shared), *rows, *shared, *parameters))
+
+
+class _Rowwise(torch.autograd.Function):
+    """(rows, shared, parameters) → outputs."""
+
+    @staticmethod
+    def forward(ctx: Any, function: RowFunction, rows: int, shared: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+        ctx.function, ctx.rows, ctx.shared = function, rows, shared
+        ctx.save_for_backward(*tensors)
+        blocks = []
+        for start in range(0, max(len(tensors[0]), 1), BLOCK):
+            part = [tensor[start : start + BLOCK] for tensor in tensors[:rows]]
+            blocks.append(function(part, tensors[rows : rows + shared]))
+        return tuple(torch.cat(parts) for parts in zip(*blocks, strict=True))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        tensors, needed = ctx.saved_tensors, ctx.needs_input_grad[3:]
+        found = [torch.zeros_like(tensor) if wanted else None for tensor, wanted in zip(tensors, needed, strict=True)]
+        matters = torch.stack([(gradient.flatten(1) != 0).any(1) for gradient in upstream]).any(0)
+        for index in torch.nonzero(matters)[:, 0].split(BLOCK):
+            _block_backward(ctx, tensors, needed, (index, [gradient[index] for gradient in upstream]), found)
+        return None, None, None, *found
+
+
+def _block_backward(
+    ctx: Any,
+    tensors: Sequence[Tensor],
+    needed: Sequence[bool],
+    wanted: tuple[Tensor, list[Tensor]],
+    found: list[Tensor | None],
+) -> None:
+    """Add what some rows contribute to the gradients."""
+    index, upstream = wanted
+    count = ctx.rows + ctx.shared
+    with torch.enable_grad():
+        own = [tensor[index] if place < ctx.rows else tensor for place, tensor in enumerate(tensors[:count])]
+        own = [tensor.detach().requires_grad_(need) for tensor, need in zip(own, needed, strict=False)]
+        outputs = ctx.function(own[: ctx.rows], own[ctx.rows :])
+    leaves = [*own, *tensors[count:]]
+    places = [place for place, need in enumerate(needed) if need]
+    gradients = torch.autograd.grad(outputs, [leaves[place] for place in places], upstream, allow_unused=True)
+    for place, gradient in zip(places, gradients, strict=True):
+        target = found[place]
+        if gradient is not None and target is not None:
+            if place < ctx.rows:
+                target[index] = gradient
+            else:
+                target += gradient
