@@ -47,6 +47,10 @@ class Training:
     """Coarse to fine: pairs (share of the steps, share of the size), then full size. Empty in the paper."""
     smallest: int = 128
     """No side gets smaller than this by `resolutions`, px."""
+    cooling: float = 0.4
+    """Share of the steps, at the end, over which the rates of all optimisers fall; 0 in the paper, which says none."""
+    coolest: float = 0.02
+    """Share of the rates that is left in the last step."""
     eval_every: int = 1_000
     """Steps between two looks at test frames; 0 is never."""
     eval_frames: int = 4
@@ -61,6 +65,16 @@ class Training:
     """Memory for decoded frames, MiB."""
     bad_steps: int = 10
     """Steps with numbers that are not finite, in all, after which the training gives up."""
+
+    def rate_at(self, step: int) -> float:
+        """Factor on all rates in a step (from 1): 1, and half a cosine down to `coolest` while cooling.
+
+        A rate that stays high leaves the networks, through which all Gaussians move together, swinging by half a pixel
+        until the last step (docs/log.md).
+        """
+        begin = (1 - self.cooling) * self.steps
+        share = (step - begin) / max(self.steps - begin, 1)
+        return 1.0 if share <= 0 else self.coolest + (1 - self.coolest) * 0.5 * (1 + math.cos(math.pi * min(share, 1)))
 
     def size_at(self, step: int, width: int, height: int) -> tuple[int, int]:
         """Width and height to train at in a step (from 1), px, for frames of `width` × `height`."""
@@ -85,6 +99,7 @@ def preset(name: str, device: str) -> Training:
         return Training(
             PAPER_STEPS,
             resolutions=(),
+            cooling=0.0,
             eval_every=5_000,
             eval_frames=8,
             save_every=5_000,

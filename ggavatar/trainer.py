@@ -195,7 +195,7 @@ class Trainer:
         optimizers = avatar.optimizers()
         if guard.passes(step, terms, avatar):
             for optimizer in optimizers:
-                optimizer.step()
+                step_at(optimizer, self.plan.rate_at(step))
             avatar.after_backward(drawn, step)
         for optimizer in avatar.optimizers():
             optimizer.zero_grad(set_to_none=True)
@@ -235,6 +235,16 @@ class Trainer:
         psnr = sum(values.values()) / len(values)
         log.write({"step": step, "psnr": psnr, "frames": values, "seconds": self.seconds})
         self.listener.evaluated(step, psnr)
+
+
+def step_at(optimizer: torch.optim.Optimizer, factor: float) -> None:
+    """One step at `factor` times the rates, which stay the method's own."""
+    rates = [group["lr"] for group in optimizer.param_groups]
+    for group, rate in zip(optimizer.param_groups, rates, strict=True):
+        group["lr"] = factor * rate
+    optimizer.step()
+    for group, rate in zip(optimizer.param_groups, rates, strict=True):
+        group["lr"] = rate
 
 
 def _is_due(step: int, interval: int, last: int) -> bool:

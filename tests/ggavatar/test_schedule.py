@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ggavatar.schedule import PAPER_STEPS, Training, log_linear, preset, scaled, seeded
+from ggavatar.trainer import step_at
 
 
 def test_position_rate_reaches_a_hundredth_at_half() -> None:
@@ -34,6 +37,22 @@ def test_small_frames_are_not_shrunk_below_the_limit() -> None:
 def test_paper_preset_is_as_printed() -> None:
     plan = preset("paper", "cpu")
     assert (plan.steps, plan.resolutions) == (120_000, ())
+    assert plan.rate_at(1) == plan.rate_at(120_000) == 1
+
+
+def test_rates_cool_down_by_half_a_cosine() -> None:
+    plan = Training(steps=1_000, cooling=0.4, coolest=0.02)
+    assert plan.rate_at(1) == plan.rate_at(600) == 1
+    assert plan.rate_at(800) == pytest.approx(0.51)
+    assert plan.rate_at(1_000) == pytest.approx(0.02)
+    factors = [plan.rate_at(step) for step in range(1, 1_001)]
+    assert factors == sorted(factors, reverse=True)
+
+
+@given(steps=st.integers(1, 400), cooling=st.floats(0, 1), coolest=st.floats(0, 1))
+def test_factors_on_rates_stay_between_the_coolest_and_one(steps: int, cooling: float, coolest: float) -> None:
+    plan = Training(steps=steps, cooling=cooling, coolest=coolest)
+    assert all(coolest - 1e-9 <= plan.rate_at(step) <= 1 + 1e-9 for step in range(1, steps + 1))
 
 
 def test_generators_depend_on_seed_and_stream_alone() -> None:
@@ -43,3 +62,12 @@ def test_generators_depend_on_seed_and_stream_alone() -> None:
     assert draw(42, 1, 7) == draw(42, 1, 7)
     different = [draw(42, 1, 7), draw(43, 1, 7), draw(42, 2, 7), draw(42, 1, 8), draw(42, 7, 1)]
     assert len({tuple(values) for values in different}) == 5
+
+
+def test_a_step_at_a_factor_leaves_the_rate_alone() -> None:
+    weight = torch.nn.Parameter(torch.tensor([1.0]))
+    optimizer = torch.optim.SGD([weight], lr=0.5)
+    weight.grad = torch.tensor([1.0])
+    step_at(optimizer, 0.1)
+    assert weight.item() == pytest.approx(0.95)
+    assert optimizer.param_groups[0]["lr"] == 0.5
