@@ -33,7 +33,7 @@ from preprocess.tracked_head import PersonalShape, fit_shape, lid_axes
 
 FACE_WIDTH = 0.155
 """Width of the canonical face, m: the unit of landmark errors."""
-SHARED_ERROR, OWN_ERROR = 0.2, 0.014
+SHARED_ERROR, OWN_ERROR = 0.4, 0.014
 """Landmark errors over the face's width.
 
 The first counts as if all points of 100 frames erred alike (focal length, mean shape), the second is for one frame's

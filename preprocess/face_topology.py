@@ -43,14 +43,3 @@ def rigidity(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
     trust[BROWS] = 0.2
     trust[EYE_CORNERS] = 1.0
     return trust
-
-
-def without_openings(face: CanonicalFace) -> np.ndarray:
-    """Triangles of the canonical face that are skin: those across the mouth and the eyes are left out."""
-    inside = [
-        np.union1d(UPPER_LIP_MARGIN, LOWER_LIP_MARGIN),
-        np.union1d(RIGHT_UPPER_LID, RIGHT_LOWER_LID),
-        np.union1d(LEFT_UPPER_LID, LEFT_LOWER_LID),
-    ]
-    across = np.any([np.isin(face.faces, loop).all(axis=1) for loop in inside], axis=0)
-    return face.faces[~across]

@@ -1,6 +1,6 @@
 """What is inside `face_landmarker.task`: three networks and the canonical face they refer to.
 
-Read without trusting the file.
+Read without trusting the file. Networks may also come as files of their own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ggavatar.errors import InputError
 
@@ -34,16 +34,9 @@ class CanonicalFace:
 
     Attributes:
         vertices: Positions, m; +Y up, face towards +Z, +X the subject's left.
-        faces: Counter-clockwise seen from outside.
-        uv: Texture coordinates of every vertex in [0, 1].
-        rigid_weights: Weight of each landmark in a rigid alignment, zero for points that expressions move; they sum to
-            1.
     """
 
     vertices: Float[np.ndarray, "468 3"]
-    faces: Int[np.ndarray, "F 3"]
-    uv: Float[np.ndarray, "468 2"]
-    rigid_weights: Float[np.ndarray, " 468"]
 
 
 def read_member(bundle: Path, part: str) -> bytes:
@@ -71,19 +64,35 @@ def read_member(bundle: Path, part: str) -> bytes:
     return content
 
 
-def load_network(bundle: Path, part: str) -> cv2.dnn.Net:
-    """A network of the bundle, ready for OpenCV's DNN on the CPU."""
-    content = np.frombuffer(read_member(bundle, part), np.uint8)
+def load_network(path: Path, part: str) -> cv2.dnn.Net:
+    """A network of the bundle, or one with a `.tflite` file of its own, ready for OpenCV's DNN on the CPU.
+
+    Args:
+        path: The bundle or the network's file.
+        part: Which one; of a bundle its key in `MEMBERS`.
+
+    Raises:
+        InputError: Not to be read, or not a network that OpenCV knows.
+    """
+    single = path.suffix == ".tflite"
+    content = read_single(path) if single else read_member(path, part)
     try:
-        return cv2.dnn.readNetFromTFLite(content)
+        return cv2.dnn.readNetFromTFLite(np.frombuffer(content, np.uint8))
     except cv2.error as error:
-        raise InputError(
-            f"{bundle}: OpenCV {cv2.__version__} cannot read {MEMBERS[part]} ({error.err}); {ADVICE}"
-        ) from error
+        name = part if single else MEMBERS[part]
+        raise InputError(f"{path}: OpenCV {cv2.__version__} cannot read {name} ({error.err}); {ADVICE}") from error
+
+
+def read_single(path: Path) -> bytes:
+    """A network's own file; `InputError` if it is larger than 64 MiB."""
+    size = path.stat().st_size
+    if size > LARGEST_MEMBER:
+        raise InputError(f"{path}: {size} bytes, expected a network of at most {LARGEST_MEMBER}; {ADVICE}")
+    return path.read_bytes()
 
 
 def canonical_face(bundle: Path) -> CanonicalFace:
-    """The canonical face of the bundle's geometry metadata (protocol buffer: mesh = 1, alignment basis = 2)."""
+    """The canonical face of the bundle's geometry metadata (protocol buffer: mesh = 1)."""
     content = read_member(bundle, "geometry")
     try:
         return _parse_geometry(content)
@@ -92,34 +101,19 @@ def canonical_face(bundle: Path) -> CanonicalFace:
 
 
 def _parse_geometry(content: bytes) -> CanonicalFace:
-    weights = np.zeros(468)
-    vertices = faces = np.zeros((0, 5))
+    vertices = np.zeros((0, 5))
     for number, value in _fields(content):
         if number == 1:
-            vertices, faces = _parse_mesh(value)
-        elif number == 2:
-            entry = dict(_fields(value))
-            weights[int(entry[1])] = entry[2]
-    if (
-        vertices.shape != (468, 5)
-        or not len(faces)
-        or faces.max() >= 468
-        or weights.sum() <= 0
-        or not np.isfinite(vertices).all()
-    ):
-        raise ValueError(f"{len(vertices)} vertices, {len(faces)} faces, expected 468 vertices and an alignment basis")
+            vertices = _parse_vertices(value)
+    if vertices.shape != (468, 5) or not np.isfinite(vertices).all():
+        raise ValueError(f"{len(vertices)} vertices, expected 468 finite ones")
     centimetre = 0.01
-    uv = np.stack((vertices[:, 3], 1 - vertices[:, 4]), axis=1)
-    return CanonicalFace(vertices[:, :3] * centimetre, faces, uv, weights / weights.sum())
+    return CanonicalFace(vertices[:, :3] * centimetre)
 
 
-def _parse_mesh(content: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (x, y, z, u, v) and triangles of a mesh message: vertex floats are field 3, indices field 4."""
-    numbers: dict[int, list[float]] = {3: [], 4: []}
-    for number, value in _fields(content):
-        if number in numbers:
-            numbers[number].append(value)
-    return np.array(numbers[3]).reshape(-1, 5), np.array(numbers[4], dtype=np.int64).reshape(-1, 3)
+def _parse_vertices(content: bytes) -> np.ndarray:
+    """Vertices (x, y, z, u, v) of a mesh message: its floats are field 3."""
+    return np.array([value for number, value in _fields(content) if number == 3], dtype=np.float64).reshape(-1, 5)
 
 
 def _fields(content: bytes) -> Iterator[tuple[int, Any]]:

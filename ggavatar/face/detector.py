@@ -38,8 +38,9 @@ class FaceBox:
 class FaceDetector:
     """The detector network. Not safe for two threads at once (OpenCV networks hold their input)."""
 
-    def __init__(self, bundle: Path) -> None:
-        self._network = load_network(bundle, "detector")
+    def __init__(self, path: Path) -> None:
+        """Load it from the face landmarker bundle or from a file of its own."""
+        self._network = load_network(path, "detector")
         self._anchors = _anchors()
 
     def detect(self, frame: UInt8[np.ndarray, "H W 3"]) -> FaceBox | None:

@@ -35,6 +35,6 @@ def stand_in() -> tuple[CanonicalFace, Embedding]:
     rows = head.regions["face"].numpy()
     rows = rows[np.argsort(points[rows, 1])][:: len(rows) // 468][:468]
     # Landmark numbers have meanings (lips, lids, …) that these points lack; what is trusted goes by height only.
-    face = CanonicalFace(points[rows], np.zeros((1, 3), np.int64), np.zeros((468, 2)), np.full(468, 1 / 468))
+    face = CanonicalFace(points[rows])
     corners = np.repeat(rows[:, None], 3, axis=1)
     return face, Embedding(np.arange(468), corners, np.tile([1.0, 0.0, 0.0], (468, 1)))
