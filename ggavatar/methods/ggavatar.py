@@ -28,7 +28,8 @@ from ggavatar.geometry import TriangleFrames, project, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
 from ggavatar.offsets import COLOUR, Offsets, refine
-from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
+from ggavatar.perceptual import CropSampler
+from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import POSE_FEATURES, HeadPoses
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
@@ -187,9 +188,9 @@ class GGAvatar(nn.Module):
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)
-        self.crops = CropSampler(config.crop_side, config.crop_probability)
+        crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
-        self._perceptual: list[PerceptualLoss] = []
         self._kept_hidden: Tensor | None = None
         self._spread: Tensor | None = None
         self._spread = self._condition_spread()
@@ -224,7 +225,8 @@ class GGAvatar(nn.Module):
             "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),
         }
         if config.perceptual_weight and not self.is_neutral:
-            terms.update(self._perceptual_term(frame, rendering, step))
+            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            terms.update(self.perceptual(rendering.image, frame.image, step, boxes))  # Eq. 16
         return terms
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
@@ -247,7 +249,7 @@ class GGAvatar(nn.Module):
 
     def notes(self) -> dict[str, str]:
         """What a reader of the results must know: which features the perceptual loss used."""
-        return {"perceptual_loss": self._perceptual[0].name} if self._perceptual else {}
+        return self.perceptual.notes()
 
     @torch.no_grad()
     def _face_frames(self, drive: Drive) -> TriangleFrames:
@@ -305,23 +307,6 @@ class GGAvatar(nn.Module):
         """Degree in use: one more every `sh_iterations`."""
         interval = max(scaled(self.config.sh_iterations, self.scene.steps), 1)
         return min(int(self.steps_done) // interval, self.config.sh_degree)
-
-    def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
-        """λ2 · L_VGG (Eq.
-
-        16) on the whole image or, with the chance of a crop, on that crop at 1/chance of the weight.
-        """
-        if not self._perceptual:
-            self._perceptual.append(perceptual_loss().to(frame.image.device))
-        weight, window = self.config.perceptual_weight, (slice(None), slice(None))
-        if self.config.perceptual_mode == "crops":
-            height, width = frame.image.shape[:2]
-            boxes = region_boxes(self.head, frame)
-            drawn = self.crops.draw(height, width, seeded(self.scene.seed, 3, step), boxes)
-            if drawn is None:
-                return {}
-            window, weight = drawn, weight / self.crops.probability
-        return {"perceptual": weight * self._perceptual[0](rendering.image[window], frame.image[window])}
 
 
 def first_rows(config: Config, head: HeadModel, generator: torch.Generator) -> Rows:
