@@ -209,7 +209,7 @@ def test_eq_13_to_16_every_term_with_its_weight() -> None:
 def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from ggavatar.methods import ggavatar
+    from ggavatar import perceptual_term
 
     class Stub(torch.nn.Module):
         name = "stub"
@@ -218,7 +218,7 @@ def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
             assert image.shape == (24, 24, 3)
             return torch.tensor(5.0)
 
-    monkeypatch.setattr(ggavatar, "perceptual_loss", Stub)
+    monkeypatch.setattr(perceptual_term, "perceptual_loss", Stub)
     avatar = build(Config(), small_scene())
     image = torch.rand(24, 24, 3)
     drawn = Rendering(image, image[..., :1], image[..., :1], torch.zeros(8, 2), torch.ones(8))
