@@ -8,11 +8,17 @@ DEMO_FRAMES ?= 600
 DEMO_SIZE ?= 256
 DEMO_STEPS ?= 4000
 DEMO_EVAL ?=
+TABLE ?= table
+TABLE_IDS ?= 1 2 3 4 5
+TABLE_FRAMES ?= 600
+TABLE_SIZE ?= 256
+TABLE_STEPS ?= 1500
+TABLE_METHODS ?= point_avatar flash_avatar gaussian_avatars ggavatar
 SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
 
-.PHONY: demo test lint format bench clean-demo
+.PHONY: demo table test lint format bench clean-demo
 
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
@@ -20,6 +26,16 @@ demo: $(VENV)/installed
 		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) --resume -o $(CAPTURE)
 	@$(BIN)/ggavatar-train $(CAPTURE) ggavatar --steps $(DEMO_STEPS) --resume -o $(RUN)
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
+
+table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))
+	@$(BIN)/ggavatar-sweep $(patsubst %,$(TABLE)/captures/subject-%,$(TABLE_IDS)) --methods $(TABLE_METHODS) \
+		--steps $(TABLE_STEPS) -o $(TABLE)/runs
+
+$(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
+	@test -f $(TABLE)/subjects/$*/README.txt || $(BIN)/ggavatar-demo --id $* --frames $(TABLE_FRAMES) --size $(TABLE_SIZE) \
+		--overwrite -o $(TABLE)/subjects/$*
+	@$(BIN)/ggavatar-prep $(TABLE)/subjects/$*/video.mp4 --tracking $(TABLE)/subjects/$*/tracking --masks $(TABLE)/subjects/$*/masks \
+		--head-model $(TABLE)/subjects/$*/head.npz --subject subject-$* --size $(TABLE_SIZE) --resume -o $(TABLE)/captures/subject-$*
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto
