@@ -1,14 +1,12 @@
 """PointAvatar (Zheng et al. 2023): canonical points with learned motion, albedo and normals, drawn as discs.
 
-Lengths inside are quarter metres, as in the authors' code, whose FLAME is four times as large; `UNIT` converts. The
-camera stands still for them and the head turns; here the head may stand still instead, so their joint that never
-moves is the torso held before the camera, and normals are shaded as the camera sees them: the same up to a rigid
-motion of everything.
+Lengths inside are quarter metres, as in the authors' code, whose FLAME is four times as large; `UNIT` converts. Where
+a tracker keeps the head still and turns the camera, their still joint is the torso held before the camera and normals
+are shaded as the camera sees them: the same up to a rigid motion of everything.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -20,18 +18,18 @@ from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
-from ggavatar.geometry import axis_angle_to_matrix, invert_rigid
 from ggavatar.losses import l1
 from ggavatar.methods.ggavatar import region_boxes
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
 from ggavatar.points.deformer import Features, PointDeformer
-from ggavatar.points.head_targets import HeadTargets, pose_features
+from ggavatar.points.driving import Driver, Pose, canonical_drive, expression_coefficients
+from ggavatar.points.head_targets import HeadTargets
 from ggavatar.points.point_cloud import CloudSchedule, PointCloud
 from ggavatar.points.rowwise import rowwise
 from ggavatar.points.shading import ShadingNetwork, shaded
-from ggavatar.points.skinning import Bones, deform, deformed_normals
+from ggavatar.points.skinning import deform, deformed_normals
 from ggavatar.pose import HeadPoses
 from ggavatar.render.disc_values import DiscRendering, Discs, similar_scale
 from ggavatar.render.discs import rasterizer as disc_rasterizer
@@ -114,7 +112,7 @@ SHORT: dict[str, Any] = {
 }
 """What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT | {"max_points": 10_000}, "paper": {}}
 
 
 def build(config: Config, scene: Scene) -> PointAvatar:
@@ -134,17 +132,6 @@ class Canonical(NamedTuple):
     features: Features | None
 
 
-class Pose(NamedTuple):
-    """What a drive says to all points: correctives, the camera's axes, and the bones of both poses."""
-
-    correctives: Float[Tensor, " B"]
-    head_to_camera: Float[Tensor, "3 3"]
-    canonical_rotations: Float[Tensor, "J 3 3"]
-    canonical_offsets: Float[Tensor, "J 3"]
-    rotations: Float[Tensor, "J 3 3"]
-    offsets: Float[Tensor, "J 3"]
-
-
 class PointAvatar(nn.Module):
     """The avatar: points, the network of their surface, the one of their motion, the one of their shading."""
 
@@ -154,13 +141,14 @@ class PointAvatar(nn.Module):
         super().__init__()
         self.config, self.scene, self.head = config, scene, scene.head
         drives = scene.drives or (self.head.neutral_drive(),)
-        self.poses = HeadPoses.of(self.head, drives)
-        self.canonical_drive = canonical_drive(config, scene)
-        coefficients = torch.stack([_coefficients(drive) for drive in drives])
-        self.targets = HeadTargets.of(self.head, self.canonical_drive, coefficients, UNIT)
+        canonical = canonical_drive(self.head, drives, config.jaw)
+        poses = HeadPoses.of(self.head, drives)
+        self.driver = Driver(self.head, canonical, poses, UNIT, config.pose_on == "neck")
+        coefficients = torch.stack([expression_coefficients(drive) for drive in drives])
+        self.targets = HeadTargets.of(self.head, canonical, coefficients, UNIT)
         self.cloud = PointCloud(config.points, config.sphere, config.radius_factor, config.rate, self._random(1))
         self.surface = CanonicalNetwork(CanonicalConfig(), self._random(2))
-        shapes = pose_features(self.head) + coefficients.shape[1]
+        shapes = len(self.targets.blendshapes[0])
         self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._random(3))
         self.shading = ShadingNetwork(self._random(4))
         networks = [*self.surface.parameters(), *self.deformer.parameters(), *self.shading.parameters()]
@@ -183,7 +171,7 @@ class PointAvatar(nn.Module):
     def gaussians(self, drive: Drive) -> Discs:
         """The points posed by `drive`, in world space, with the colours that they show the camera."""
         drive = self._corrected(drive)
-        canonical, pose = self._canonical(), self._pose(drive)
+        canonical, pose = self._canonical(), self.driver.pose(drive)
         if torch.is_grad_enabled():
             parameters = [*self.deformer.parameters(), *self.shading.parameters()]
             points, colors = rowwise(self._pose_rows, (self.cloud.points, *canonical.surface[1:]), pose, parameters)
@@ -245,11 +233,6 @@ class PointAvatar(nn.Module):
             self._kept = Canonical(self.surface(points), self.deformer.features(points))
         return self._kept
 
-    def _pose(self, drive: Drive) -> Pose:
-        """What the drive says to all points."""
-        rotation = drive.head_to_camera[:3, :3]
-        return Pose(self._correctives(drive), rotation, *self._bones(self.canonical_drive), *self._bones(drive))
-
     def _pose_rows(self, rows: Sequence[Tensor], shared: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Posed points and their colours, from points, gradients of the distance and albedo."""
         points, gradient, albedo = rows
@@ -260,7 +243,7 @@ class PointAvatar(nn.Module):
         """Posed points, quarter metres, and their colours."""
         assert canonical.features is not None
         motion = self.deformer.motion(canonical.features, pose.correctives)
-        deformed = deform(points, motion, Bones(*pose[2:4]), Bones(*pose[4:]))
+        deformed = deform(points, motion, pose.canonical, pose.posed)
         normals = deformed_normals(deformed.tangents, normalize(canonical.surface.gradient, dim=-1))
         return deformed.points, shaded(self.shading(normals @ pose.head_to_camera.T), canonical.surface.albedo)
 
@@ -288,42 +271,8 @@ class PointAvatar(nn.Module):
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.epoch > self.config.tracking_epochs):
             return self.corrections(drive)
 
-    def _correctives(self, drive: Drive) -> Float[Tensor, " B"]:
-        """Coefficients of the blendshapes: pose, then expression, then lids, less those of the canonical pose."""
-        posed, canonical = (
-            torch.cat((_pose_feature(one), _coefficients(one))) for one in (drive, self.canonical_drive)
-        )
-        return posed - canonical
-
-    def _bones(self, drive: Drive) -> Bones:
-        """The joint that never moves, then the head's; in the canonical pose all of them are the head's."""
-        rotations, offsets = self.head.joint_transforms(drive)
-        still, shift = torch.eye(3).to(rotations), torch.zeros(3).to(rotations)
-        if drive is not self.canonical_drive:
-            if self.poses.in_camera:
-                torso = invert_rigid(drive.head_to_camera) @ self.poses.reference
-                still, shift = torso[:3, :3], torso[:3, 3]
-                if self.config.pose_on == "neck":
-                    root = torch.arange(len(offsets), device=offsets.device) == self.head.joint("root")
-                    rotations = torch.where(root[:, None, None], still @ rotations, rotations)
-                    offsets = torch.where(root[:, None], offsets @ still.T + shift - drive.translation, offsets)
-            shift = shift - drive.translation
-        return Bones(torch.cat((still[None], rotations)), UNIT * torch.cat((shift[None], offsets)))
-
     def _random(self, stream: int) -> torch.Generator:
         return seeded(self.scene.seed, 7, stream)
-
-
-def canonical_drive(config: Config, scene: Scene) -> Drive:
-    """The pose in which points are at home: mean expression and lids of the training, the jaw open."""
-    drive = scene.head.neutral_drive()
-    joints = drive.joint_rotations.clone()
-    if "jaw" in scene.head.joint_names:
-        joints[scene.head.joint("jaw"), 0] = config.jaw
-    drives = scene.drives or (drive,)
-    expression = torch.stack([one.expression for one in drives]).mean(0)
-    lids = torch.stack([one.eyelids for one in drives]).mean(0)
-    return dataclasses.replace(drive, joint_rotations=joints, expression=expression, eyelids=lids)
 
 
 def cloud_schedule(config: Config, scene: Scene) -> CloudSchedule:
@@ -364,17 +313,6 @@ def metres_per_device_unit(scene: Scene) -> float:
         for camera in scene.cameras
     ]
     return sum(lengths) / len(lengths) if lengths else 1.0
-
-
-def _coefficients(drive: Drive) -> Float[Tensor, " E"]:
-    """Expression coefficients, then lids: blendshapes all of them."""
-    return torch.cat((drive.expression, drive.eyelids))
-
-
-def _pose_feature(drive: Drive) -> Float[Tensor, " P"]:
-    """vec(R − I) of all joints but the root."""
-    rotations = axis_angle_to_matrix(drive.joint_rotations[1:])
-    return (rotations - torch.eye(3).to(rotations)).flatten()
 
 
 def _resized(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "P P 3"]:

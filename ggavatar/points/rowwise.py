@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-BLOCK = 512
-"""Rows at a time."""
+BLOCK, LARGE_BLOCK = 512, 1 << 16
+"""Rows at a time on a CPU, for its cache, and elsewhere, for its memory."""
 
 RowFunction = Callable[[Sequence[Tensor], Sequence[Tensor]], tuple[Tensor, ...]]
 
@@ -42,8 +42,9 @@ class _Rowwise(torch.autograd.Function):
         ctx.function, ctx.rows, ctx.shared = function, rows, shared
         ctx.save_for_backward(*tensors)
         blocks = []
-        for start in range(0, max(len(tensors[0]), 1), BLOCK):
-            part = [tensor[start : start + BLOCK] for tensor in tensors[:rows]]
+        size = _block_size(tensors[0])
+        for start in range(0, max(len(tensors[0]), 1), size):
+            part = [tensor[start : start + size] for tensor in tensors[:rows]]
             blocks.append(function(part, tensors[rows : rows + shared]))
         return tuple(torch.cat(parts) for parts in zip(*blocks, strict=True))
 
@@ -53,9 +54,13 @@ class _Rowwise(torch.autograd.Function):
         tensors, needed = ctx.saved_tensors, ctx.needs_input_grad[3:]
         found = [torch.zeros_like(tensor) if wanted else None for tensor, wanted in zip(tensors, needed, strict=True)]
         matters = torch.stack([(gradient.flatten(1) != 0).any(1) for gradient in upstream]).any(0)
-        for index in torch.nonzero(matters)[:, 0].split(BLOCK):
+        for index in torch.nonzero(matters)[:, 0].split(_block_size(tensors[0])):
             _block_backward(ctx, tensors, needed, (index, [gradient[index] for gradient in upstream]), found)
         return None, None, None, *found
+
+
+def _block_size(rows: Tensor) -> int:
+    return BLOCK if rows.device.type == "cpu" else LARGE_BLOCK
 
 
 def _block_backward(

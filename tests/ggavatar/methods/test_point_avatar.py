@@ -100,7 +100,7 @@ def test_losses_reach_everything_that_learns(avatar: PointAvatar) -> None:
 
 def test_at_the_canonical_pose_points_are_at_home(avatar: PointAvatar) -> None:
     """Equal skinning would mix the joints; in the canonical pose only the still one differs from its home."""
-    drive = dataclasses.replace(avatar.canonical_drive, head_to_camera=avatar.poses.reference)
+    drive = dataclasses.replace(avatar.driver.canonical, head_to_camera=avatar.driver.poses.reference)
     found = avatar.gaussians(drive)
     assert isinstance(found, Discs) and torch.allclose(found.means, avatar.cloud.points / UNIT, atol=1e-6)
     assert found.radius == pytest.approx(0.16875) and found.colors.min() >= 0 and found.colors.max() <= 1
@@ -114,23 +114,23 @@ def test_at_the_canonical_pose_points_are_at_home(avatar: PointAvatar) -> None:
 def test_the_still_joint_stays_before_the_camera(avatar: PointAvatar) -> None:
     with torch.no_grad():
         avatar.deformer.skinning_bias[0] = 10.0  # all weight on it
-    rest = dataclasses.replace(avatar.canonical_drive, head_to_camera=avatar.poses.reference)
+    rest = dataclasses.replace(avatar.driver.canonical, head_to_camera=avatar.driver.poses.reference)
     turn = rigid(axis_angle_to_matrix(torch.tensor([0.0, 0.4, 0.0])), torch.tensor([0.05, 0.0, 0.02]))
-    turned = dataclasses.replace(rest, head_to_camera=turn @ avatar.poses.reference)
+    turned = dataclasses.replace(rest, head_to_camera=turn @ avatar.driver.poses.reference)
 
     def in_camera(drive: Drive) -> torch.Tensor:
         return avatar.gaussians(drive).means @ drive.head_to_camera[:3, :3].T + drive.head_to_camera[:3, 3]
 
-    assert avatar.poses.in_camera and torch.allclose(in_camera(rest), in_camera(turned), atol=1e-6)
+    assert avatar.driver.poses.in_camera and torch.allclose(in_camera(rest), in_camera(turned), atol=1e-6)
     assert not torch.allclose(avatar.gaussians(rest).means, avatar.gaussians(turned).means, atol=1e-3)
 
 
 def test_shading_sees_the_normal_as_the_camera_does(avatar: PointAvatar) -> None:
     with torch.no_grad():
         avatar.deformer.skinning_bias[2] = 10.0  # the neck: rigid with the head
-    rest = dataclasses.replace(avatar.canonical_drive, head_to_camera=avatar.poses.reference)
+    rest = dataclasses.replace(avatar.driver.canonical, head_to_camera=avatar.driver.poses.reference)
     rotation = axis_angle_to_matrix(torch.tensor([0.0, 0.9, 0.0]))
-    turned = dataclasses.replace(rest, head_to_camera=rigid(rotation, torch.zeros(3)) @ avatar.poses.reference)
+    turned = dataclasses.replace(rest, head_to_camera=rigid(rotation, torch.zeros(3)) @ avatar.driver.poses.reference)
     surface = avatar.surface(avatar.cloud.points)
     for drive in (rest, turned):
         normals = torch.nn.functional.normalize(surface.gradient, dim=1) @ drive.head_to_camera[:3, :3].T
