@@ -138,7 +138,7 @@ def _driven(options: Options, run: Run, background: Color) -> Shot:
 
     def figure(output: Output) -> Path:
         drawn = [view.number for view in _part(views, options.frames)]
-        chosen = [driver.frames[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
+        chosen = [drawn[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
         path = output.folder / "reenactment.png"
         results = _labelled(printed(run.method), output.folder, options.beside)
         rows = {

@@ -84,6 +84,10 @@ def test_parameters_drive_and_other_bases_do_not(
     np.savez(tmp_path / "params.npz", expression=motion, version="toy-1")
     assert render(monkeypatch, run, "--drive", tmp_path / "params.npz", "--no-video", "--frames", "0:4") == 0
     assert len(names(run.folder / "renders" / "drive-params" / "frames")) == 4
+    part = ["--frames", "1:5:2", "-o", tmp_path / "part"]
+    assert render(monkeypatch, run, "--drive", tmp_path / "params.npz", "--no-video", *part) == 0
+    assert names(tmp_path / "part" / "frames") == ["000001.png", "000003.png"]
+    assert (tmp_path / "part" / "reenactment.png").is_file()
     np.savez(tmp_path / "short.npz", expression=motion[:, :2], version="toy-1")
     assert render(monkeypatch, run, "--drive", tmp_path / "short.npz") == 2
     assert "--force-basis" in capsys.readouterr().err
