@@ -67,7 +67,7 @@ class Config:
     rate: float = 1e-4
     """Learning rate of points and networks (authors' code)."""
     rate_left: float = 1.0
-    """Share of the rate that is left in the last step; the authors' decay never acts (docs/paper.md)."""
+    """Share of the rate that is left in the last step; the authors' decay never acts, as they rebuild Adam."""
     tracking_rate: float = 5e-4
     """Learning rate of corrections of training frames, rad and quarter metres; 0 is none (authors' code)."""
     tracking_epochs: int = 10

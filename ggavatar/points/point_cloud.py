@@ -1,4 +1,7 @@
-"""The canonical points and their schedule: first few and large, then doubled and smaller, the hidden ones dropped."""
+"""The canonical points and their schedule: first few and large, then doubled and smaller, the hidden ones dropped.
+
+Survivors keep Adam's moments and newborn points start without; the authors' code begins a new Adam for everything.
+"""
 
 from __future__ import annotations
 
