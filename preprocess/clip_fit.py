@@ -13,6 +13,7 @@ from ggavatar.face.bundle import CanonicalFace
 from preprocess.adjustment import Adjusted, ShapePrior, adjust, prior_focal
 from preprocess.expression_axes import AXES, axis_scores, score
 from preprocess.expression_basis import (
+    JAW_SPREAD,
     LID_SPREAD,
     NAMED_SPREAD,
     OWN_SPREAD,
@@ -39,6 +40,8 @@ SHARED_ERROR, OWN_ERROR = 0.4, 0.014
 The first counts as if all points of 100 frames erred alike (focal length, mean shape), the second is for one frame's
 coefficients, where neighbours still err alike.
 """
+UNSCORED = 3.0
+"""Without scores, coefficients spread by so much more about rest than they do about what scores say."""
 KEYFRAMES, SPREAD_FRAMES = 64, 32
 LEARNING_FRAMES = 800
 ROUNDS = 3
@@ -55,7 +58,7 @@ class Clip:
 
     Attributes:
         points: Image positions of the 478 landmarks, px; frames without a face repeat a neighbour.
-        blendshapes: Scores in [0, 1].
+        blendshapes: Scores in [0, 1]; all zero if there are none.
         seen: Whether a face was found.
         size: Width and height of the images, px.
         fps: Frames a second.
@@ -68,6 +71,11 @@ class Clip:
     size: tuple[int, int]
     fps: float
     center: tuple[float, float] | None = None
+
+    @property
+    def looseness(self) -> float:
+        """How much farther than usual coefficients may be from what scores say: there may be no scores."""
+        return 1.0 if self.blendshapes.any() else UNSCORED
 
     def observations(self, trust: Float[np.ndarray, " 468"], error: float) -> Observations:
         """Landmarks on the skin with inverse variances trust / error²; `error` in px."""
@@ -246,9 +254,10 @@ def _expectation(clip: Clip, own: int) -> Expectation:
     change = clip.blendshapes - resting_scores(clip.blendshapes, clip.seen)
     lids = np.stack((score(change, "eyeBlinkLeft"), score(change, "eyeBlinkRight")), axis=1)
     coefficients = np.concatenate((axis_scores(change), np.zeros((len(change), own)), lids), axis=1)
-    spreads = np.concatenate((np.full(len(AXES), NAMED_SPREAD), np.full(own, OWN_SPREAD), np.full(2, LID_SPREAD)))
+    named, lid = NAMED_SPREAD * clip.looseness, LID_SPREAD * clip.looseness
+    spreads = np.concatenate((np.full(len(AXES), named), np.full(own, OWN_SPREAD), np.full(2, lid)))
     jaw = np.stack((JAW_OPENING * score(change, "jawOpen"), np.zeros(len(change))), axis=1)
-    return Expectation(coefficients, spreads, jaw)
+    return Expectation(coefficients, spreads, jaw, JAW_SPREAD * clip.looseness)
 
 
 def _learn(
@@ -268,8 +277,7 @@ def _learn(
     simple = FaceModel(neutral, np.concatenate((given, lids), axis=2), share, shape.joints[jaw])
     used = strided(clip)
     local, seen = Camera(camera.lens, camera.poses[used]), observed[used]
-    expected = _expectation(clip, 0)
-    chosen = Expectation(expected.coefficients[used], expected.spreads, expected.jaw[used])
+    chosen = _expectation(clip, 0).frames(used)
     motion = fit_motion(seen, local, simple, chosen)
     explained = np.concatenate((chosen.coefficients[:, : len(AXES)], motion.coefficients[:, len(AXES) :]), axis=1)
     resting = displacements(seen, local, simple.shapes(np.zeros_like(explained), motion.jaw))

@@ -83,15 +83,17 @@ class Expectation:
         coefficients: Expected value in each frame.
         spreads: Standard deviation of each coefficient about it.
         jaw: Expected turn of the jaw, rad.
+        jaw_spread: Standard deviation about it, rad.
     """
 
     coefficients: Float[np.ndarray, "T A"]
     spreads: Float[np.ndarray, " A"]
     jaw: Float[np.ndarray, "T 2"]
+    jaw_spread: float = JAW_SPREAD
 
-    def frames(self, chosen: slice) -> Expectation:
+    def frames(self, chosen: slice | np.ndarray) -> Expectation:
         """Some of the frames."""
-        return Expectation(self.coefficients[chosen], self.spreads, self.jaw[chosen])
+        return Expectation(self.coefficients[chosen], self.spreads, self.jaw[chosen], self.jaw_spread)
 
 
 def fit_motion(
@@ -114,7 +116,7 @@ def fit_motion(
 def _fit_chunk(
     observed: Observations, camera: Camera, model: FaceModel, expected: Expectation, iterations: int
 ) -> FaceMotion:
-    prior = np.concatenate((expected.spreads**-2, np.full(JAW_DEGREES, JAW_SPREAD**-2)))
+    prior = np.concatenate((expected.spreads**-2, np.full(JAW_DEGREES, expected.jaw_spread**-2)))
     mean = np.concatenate((expected.coefficients, expected.jaw), axis=1)
     state = mean.copy()
     for _ in range(iterations):

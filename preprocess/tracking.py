@@ -13,7 +13,9 @@ from jaxtyping import Float
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.face.bundle import CanonicalFace, canonical_face
+from ggavatar.face.drawn_face import drawn_face
 from ggavatar.face.landmarks import LandmarkTracker
+from ggavatar.face.networks import FaceFiles
 from preprocess import models
 from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
 from preprocess.expression_axes import AXES, score
@@ -32,6 +34,10 @@ from preprocess.tracked_head import assemble, move_eyes
 ENOUGH_FRAMES = 8
 BLINK = 0.5
 """Score from which an eye counts as closed."""
+WITHOUT_BUNDLE = (
+    "face_landmarker.task is not to be had: landmarks are those of the mediapipe wheel, without expression scores; "
+    "expression axes come from the clip's own motion alone"
+)
 EXPRESSION_CUTOFF, LID_CUTOFF = 6.0, 9.0
 """Fastest motion of expression, jaw and gaze, and of the lids, that is kept, Hz."""
 
@@ -71,13 +77,20 @@ def track(
     Raises:
         InputError: A model file is missing, or hardly a frame shows a face.
     """
-    bundle = models.resolve("face_landmarker", options.models, offline=options.offline)
-    face = canonical_face(bundle)
-    watched = watch(images, masks, fps, LandmarkTracker(bundle))
+    tracker, face = open_networks(options)
+    watched = watch(images, masks, fps, tracker)
     watched = dataclasses.replace(watched, clip=dataclasses.replace(watched.clip, center=center))
     if options.head_model is not None:
         return track_flame(watched.clip, face, options.head_model, options.tracker)
     return track_landmarks(watched, face, options)
+
+
+def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
+    """The landmark networks and the average face: the bundle's, or what stands in where it is not to be had."""
+    found = models.resolve_all("face_landmarker", options.models, options.offline)
+    if len(found) == 1:
+        return LandmarkTracker(found[0]), canonical_face(found[0])
+    return LandmarkTracker(FaceFiles(*found)), drawn_face()
 
 
 def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
@@ -177,13 +190,12 @@ def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
     missed = reprojection(clip, fit.camera, fit.model.shapes(fit.motion.coefficients, fit.motion.jaw))[clip.seen]
     lost = int((~clip.seen).sum())
     followed = sum(motion is not None for motion in watched.torso)
-    notes = (
-        [f"no face in {lost} of {len(clip.seen)} frames; their pose is carried over from the neighbours"]
-        if lost
-        else []
-    )
+    scored = bool(clip.blendshapes.any())
+    lacking = [] if scored else [WITHOUT_BUNDLE]
+    carried = f"no face in {lost} of {len(clip.seen)} frames; their pose is carried over from the neighbours"
     return {
         "tracker": "built-in",
+        "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {models.WHEEL}",
         "focal_px": round(fit.camera.lens.focal, 1),
         "focal_spread": round(fit.focal_spread, 3),
         "distance_m": round(float(np.median(fit.camera.poses.translations[:, 2])), 3),
@@ -195,5 +207,6 @@ def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
         "jitter": {name: round(value, 4) for name, value in pose_jitter(fit.camera.poses).items()},
         "frames_without_face": lost,
         "torso_followed": followed,
-        "warnings": notes,
+        "notes": lacking,
+        "warnings": [*lacking, carried][: len(lacking) + (lost > 0)],
     }

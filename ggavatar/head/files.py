@@ -19,6 +19,7 @@ MAX_BYTES = 2 << 30
 MAX_VERTICES = 2_000_000
 _REAL = ("template", "expression_basis", "pose_basis", "eyelid_basis", "joint_regressor", "skinning_weights")
 _REQUIRED = (*_REAL, "faces", "parents", "joint_names", "version")
+_OPTIONAL = ("uv", "landmark_weights")
 _REGION = "region/"
 
 
@@ -31,8 +32,8 @@ def save_head(head: HeadModel, path: Path | str) -> None:
         "version": np.asarray(head.version),
     }
     arrays |= {_REGION + name: rows.cpu().numpy() for name, rows in head.regions.items()}
-    if head.uv is not None:
-        arrays["uv"] = head.uv.detach().cpu().numpy()
+    optional = {name: getattr(head, name) for name in _OPTIONAL}
+    arrays |= {name: value.detach().cpu().numpy() for name, value in optional.items() if value is not None}
     path = Path(path)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -60,6 +61,7 @@ def load_head(path: Path | str) -> HeadModel:
         if key.startswith(_REGION)
     }
     uv = torch.from_numpy(check.uv()) if "uv" in arrays else None
+    weights = torch.from_numpy(check.landmark_weights()) if "landmark_weights" in arrays else None
     return HeadModel(
         **real,
         faces=faces,
@@ -68,6 +70,7 @@ def load_head(path: Path | str) -> HeadModel:
         version=str(check.text("version", 0)),
         regions=regions,
         uv=uv,
+        landmark_weights=weights,
     )
 
 
@@ -86,7 +89,7 @@ def _read(path: Path) -> dict[str, ndarray]:
                 "is this a head model?"
             )
         with np.load(path, allow_pickle=False) as stored:
-            wanted = [key for key in stored.files if key in (*_REQUIRED, "uv") or key.startswith(_REGION)]
+            wanted = [key for key in stored.files if key in (*_REQUIRED, *_OPTIONAL) or key.startswith(_REGION)]
             arrays = {key: stored[key] for key in wanted}
     except InputError:
         raise
@@ -195,6 +198,16 @@ class _Checks:
         self._require(value.dtype.kind == "f", "uv", "floating point")
         self._require(value.shape == (len(self._arrays["faces"]), 3, 2), "uv", "shape [F, 3, 2]")
         self._require(bool(np.isfinite(value).all()), "uv", "finite numbers only")
+        return np.ascontiguousarray(value, np.float32)
+
+    def landmark_weights(self) -> Float[ndarray, "L 3"]:
+        """Barycentric weights, three for each landmark; the region of their corners must be there too."""
+        value, corners = self._arrays["landmark_weights"], self._arrays.get(_REGION + "landmarks", np.zeros(0))
+        self._require(value.dtype.kind == "f", "landmark_weights", "floating point")
+        self._require(
+            value.shape == (len(corners) // 3, 3), "landmark_weights", "shape [L, 3] for 3·L region/landmarks"
+        )
+        self._require(bool(np.isfinite(value).all()), "landmark_weights", "finite numbers only")
         return np.ascontiguousarray(value, np.float32)
 
 

