@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +27,8 @@ from ggavatar.errors import InputError
 from ggavatar.pictures import read_rgb, write_png
 
 NOTE, VIDEO, FRAMES, CUTOUTS = "render.json", "render.mp4", "frames", "rgba"
+BATCH = 8
+"""Pictures in memory at most: one thread draws, another encodes what is drawn."""
 
 
 class View(NamedTuple):
@@ -33,6 +37,14 @@ class View(NamedTuple):
     number: int
     drive: Drive
     camera: Camera
+
+
+class Drawn(NamedTuple):
+    """A picture that waits for the encoder."""
+
+    number: int
+    picture: UInt8[np.ndarray, "H W 3"]
+    cutout: UInt8[np.ndarray, "H W 4"] | None = None
 
 
 @dataclass(frozen=True)
@@ -126,14 +138,19 @@ def render_views(
         append = None
         if output.fps is not None:
             append = stack.enter_context(video_writer(output.folder / VIDEO, output.fps))
+        encoder = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="encoder"))
+        waiting: deque[Future[None]] = deque()
+        stack.callback(lambda: [future.cancel() for future in waiting])
         for done, view in enumerate(views, start=1):
             picture = _existing(output, view.number)
-            if picture is None:
-                picture = _draw(avatar, rasterize, view, output)
-            if append:
-                append(picture)
+            drawn = Drawn(view.number, picture) if picture is not None else _draw(avatar, rasterize, view, output)
+            waiting.append(encoder.submit(_keep, drawn, output, append, is_new=picture is None))
+            if len(waiting) == BATCH:
+                waiting.popleft().result()
             if progress:
                 progress(done, len(views))
+        for future in waiting:
+            future.result()
 
 
 def _existing(output: Output, number: int) -> UInt8[np.ndarray, "H W 3"] | None:
@@ -143,15 +160,26 @@ def _existing(output: Output, number: int) -> UInt8[np.ndarray, "H W 3"] | None:
 
 
 @torch.no_grad()
-def _draw(avatar: Avatar, rasterize: Rasterizer, view: View, output: Output) -> UInt8[np.ndarray, "H W 3"]:
+def _draw(avatar: Avatar, rasterize: Rasterizer, view: View, output: Output) -> Drawn:
     gaussians = avatar.gaussians(view.drive)
     rendering = rasterize(gaussians, view.camera, gaussians.means.new_tensor(output.background))
-    picture = to_8_bit(rendering.image.float().cpu().numpy())
+    picture, cutout = to_8_bit(rendering.image.float().cpu().numpy()), None
     if output.alpha:
         straight = straight_alpha(rendering.image, rendering.alpha, rendering.image.new_tensor(output.background))
-        write_rgba(frame_file(output.folder / CUTOUTS, view.number), to_8_bit(straight.float().cpu().numpy()))
-    write_png(frame_file(output.folder / FRAMES, view.number), picture)
-    return picture
+        cutout = to_8_bit(straight.float().cpu().numpy())
+    return Drawn(view.number, picture, cutout)
+
+
+def _keep(
+    drawn: Drawn, output: Output, append: Callable[[UInt8[np.ndarray, "H W 3"]], None] | None, is_new: bool
+) -> None:
+    """Write the files of a picture and append it to the video."""
+    if is_new and drawn.cutout is not None:
+        write_rgba(frame_file(output.folder / CUTOUTS, drawn.number), drawn.cutout)
+    if is_new:
+        write_png(frame_file(output.folder / FRAMES, drawn.number), drawn.picture)
+    if append:
+        append(drawn.picture)
 
 
 def straight_alpha(

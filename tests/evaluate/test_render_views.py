@@ -1,0 +1,76 @@
+"""Drawing and encoding side by side: nothing lost, nothing out of order, and errors of the encoder come out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from evaluate import render_views
+from evaluate.render_views import Output, View
+from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
+from ggavatar.pictures import read_rgb
+
+
+class Grey:
+    """An avatar that is nothing but a number."""
+
+    def gaussians(self, drive: Drive) -> Gaussians:
+        place = torch.zeros(1, 3)
+        return Gaussians(place, torch.ones(1, 4), torch.ones(1, 3), torch.ones(1), drive.expression.expand(1, 3))
+
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, torch.Tensor]:
+        raise NotImplementedError
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        raise NotImplementedError
+
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        raise NotImplementedError
+
+
+def paint(gaussians: Gaussians, camera: Camera, background: torch.Tensor) -> Rendering:
+    """The number as a grey."""
+    flat = torch.ones(camera.height, camera.width, 1)
+    return Rendering(flat * gaussians.colors[0], flat, flat, torch.zeros(1, 2), torch.ones(1))
+
+
+def views(count: int) -> list[View]:
+    camera = Camera(torch.eye(3), torch.eye(4), 8, 8)
+    empty = torch.zeros(0, 3), torch.zeros(2), torch.zeros(3), torch.eye(4)
+    return [View(number, Drive(torch.tensor([number / 255]), *empty), camera) for number in range(count)]
+
+
+@pytest.mark.parametrize("batch", [1, 3, 8])
+def test_every_picture_is_written_and_shown_in_order(
+    batch: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[int] = []
+
+    class Video:
+        def __enter__(self):  # type: ignore[no-untyped-def]
+            return lambda picture: shown.append(int(picture[0, 0, 0]))
+
+        def __exit__(self, *_: object) -> None:
+            shown.append(-1)
+
+    monkeypatch.setattr(render_views, "BATCH", batch)
+    monkeypatch.setattr(render_views, "video_writer", lambda *_: Video())
+    done: list[int] = []
+    render_views.render_views(
+        Grey(), paint, views(11), Output(tmp_path, alpha=True), lambda number, _: done.append(number)
+    )
+    assert shown == [*range(11), -1] and done == [*range(1, 12)]
+    assert [int(read_rgb(path)[3, 3, 1]) for path in sorted((tmp_path / "frames").glob("*.png"))] == [*range(11)]
+    assert len(list((tmp_path / "rgba").glob("*.png"))) == 11
+
+
+def test_an_error_while_writing_comes_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, picture: np.ndarray) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(render_views, "write_png", full)
+    with pytest.raises(OSError, match="No space left"):
+        render_views.render_views(Grey(), paint, views(3), Output(tmp_path, fps=None))
