@@ -186,6 +186,7 @@ class GaussianBlendshapes(nn.Module):
         crops = CropSampler(config.crop_side, config.crop_probability)
         self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
+        self._kept: tuple[Tensor, Tensor] | None = None
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space (Sec. 3.1, 3.3)."""
@@ -241,6 +242,11 @@ class GaussianBlendshapes(nn.Module):
         self.rows.set_rate("means", position_rate(self.config, self.scene, step))
         self.steps_done.fill_(step)
 
+    def train(self, mode: bool = True) -> GaussianBlendshapes:
+        """Switch between training and evaluation; evaluation leaves out what no blendshape moves."""
+        self._kept = None
+        return super().train(mode)
+
     def notes(self) -> dict[str, str]:
         """Which features the perceptual loss used."""
         return self.perceptual.notes()
@@ -255,8 +261,20 @@ class GaussianBlendshapes(nn.Module):
 
     def _differences(self, weights: Float[Tensor, "N M"]) -> tuple[Tensor, ...]:
         """What the learned differences add to positions, quaternions, log-scales, opacity logits and harmonics."""
-        added = blend(self.rows["differences"], weights) * self.units
+        if self.training or torch.is_grad_enabled():
+            added = blend(self.rows["differences"], weights) * self.units
+        else:
+            added = weights.new_zeros(len(weights), len(self.units))
+            moving, differences = self._moving_rows()
+            added[moving] = blend(differences, weights[moving]) * self.units
         return added.split((*PROPERTIES, added.shape[1] - sum(PROPERTIES)), dim=1)
+
+    def _moving_rows(self) -> tuple[Tensor, Tensor]:
+        """Rows whose triangle any blendshape moves, and their differences; kept until training goes on."""
+        if self._kept is None:
+            moving = (self.strengths[self.rows["face"]] > 0).any(1).nonzero().squeeze(1)
+            self._kept = moving, self.rows["differences"][moving]
+        return self._kept
 
     def _colors(self, tinted: Float[Tensor, "N K 3"]) -> Float[Tensor, "N L 3"]:
         """Spherical harmonics with their differences."""

@@ -18,7 +18,6 @@ from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_avatars import (
     OWN,
     SEED,
-    SHORT,
     Config,
     GaussianAvatars,
     build,
@@ -122,8 +121,13 @@ def test_paper_preset_is_the_seed_papers_schedule(toy_capture: Capture, toy_head
     control = density_control(config, scene_of(toy_capture, toy_head, 120_000))
     assert (control.start, control.stop, control.interval, control.reset_interval) == (500, 60_000, 100, 3_000)
     assert config.perceptual_share * 120_000 == pytest.approx(5_000)
-    assert registry.load("gaussian_avatars_own_schedule").config("default").density_stop == 600_000
-    assert SEED.items() - {("density_start", 500), ("sh_iterations", 1_000)} <= SHORT.items()
+    for name, preset, wanted in (
+        ("", "default", OWN),
+        ("_own_schedule", "paper", OWN),
+        ("_seed_schedule", "fast", SEED),
+    ):
+        config = registry.load(f"gaussian_avatars{name}").config(preset)
+        assert {field: getattr(config, field) for field in wanted} == wanted
 
 
 def test_gradients_reach_corrections_of_training_frames_only(toy_capture: Capture, toy_head: HeadModel) -> None:
@@ -145,17 +149,17 @@ def test_gradients_reach_corrections_of_training_frames_only(toy_capture: Captur
 
 def test_corrections_recover_a_known_expression(toy_capture: Capture, toy_head: HeadModel) -> None:
     """With the right mesh as target, gradient descent on the corrections finds the coefficients that were withheld."""
-    avatar = make(toy_capture, toy_head, expression_rate=0.02, joint_rate=0.0, translation_rate=0.0)
+    avatar = make(toy_capture, toy_head, expression_rate=0.05, joint_rate=0.0, translation_rate=0.0)
     true = avatar.scene.drives[6]
     wrong = dataclasses.replace(true, expression=torch.zeros(3))
     with torch.no_grad():
         target = avatar.gaussians(dataclasses.replace(true, frame=None)).means
     assert avatar.corrections is not None
-    for _ in range(300):
+    for _ in range(120):
         avatar.corrections.optimizer.zero_grad()
         (avatar.gaussians(wrong).means - target).square().sum().backward()
         avatar.corrections.optimizer.step()
-    assert torch.allclose(avatar.corrections.expression[6], true.expression, atol=0.02)
+    assert torch.allclose(avatar.corrections.expression[6], true.expression, atol=0.05)
 
 
 def test_world_split_draws_children_too_close_by_the_size_of_the_triangle(

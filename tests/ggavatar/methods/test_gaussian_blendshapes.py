@@ -110,6 +110,18 @@ def test_blend_against_float64_autograd() -> None:
     assert torch.allclose(differences.grad.double(), exact.grad, atol=1e-6)
 
 
+def test_evaluation_leaves_out_resting_rows_and_nothing_else(toy_capture: Capture, toy_head: HeadModel) -> None:
+    avatar, drive = make(toy_capture, toy_head), drives_and_cameras(toy_capture, toy_head, "cpu")[0][7]
+    with torch.no_grad():
+        avatar.rows["differences"].normal_(generator=torch.Generator().manual_seed(0))
+        trained, evaluated = avatar.gaussians(drive), avatar.eval().gaussians(drive)
+        assert avatar._kept is not None and 0 < len(avatar._kept[0]) < len(avatar.rows)
+        for field in ("means", "quats", "scales", "opacities", "colors"):
+            assert torch.allclose(getattr(trained, field), getattr(evaluated, field), atol=1e-6), field
+        avatar.train().rows["differences"].zero_()
+        assert not torch.equal(avatar.eval().gaussians(drive).scales, trained.scales)
+
+
 def test_differences_step_by_their_rates(toy_capture: Capture, toy_head: HeadModel) -> None:
     """Adam's first step moves every property by its own rate per unit of weight, whatever the gradient's size."""
     avatar = make(toy_capture, toy_head)
