@@ -13,14 +13,14 @@ from ggavatar.head.flame import is_flame, load_flame
 from preprocess.clip_fit import Clip, find_camera
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_fit import FlameFit, fit_flame, read_flame
-from preprocess.gaze import eye_turns
+from preprocess.gaze import CLOSED, conjugate, eye_turns
 from preprocess.options import TrackingOptions
 from preprocess.sequence import TrackedSequence
 from preprocess.smoothing import penalty, pose_jitter, smooth
 from preprocess.tracked_head import EYEBALL_RADIUS
 
 CUTOFF = 6.0
-"""Fastest motion of expression, jaw, gaze and lids that is kept, Hz."""
+"""Fastest motion of expression, jaw and lids that is kept, Hz."""
 
 
 def track_flame(clip: Clip, face: CanonicalFace, path: Path, settings: TrackingOptions) -> TrackedSequence:
@@ -62,8 +62,9 @@ def _tracking(clip: Clip, fit: FlameFit, eyes: np.ndarray, smoothed: bool) -> Tr
     turns = eye_turns(irises, fit.camera.lens, fit.camera.poses, eyes, EYEBALL_RADIUS)
     joints = np.zeros((count, 5, 3))
     joints[:, 2, :2] = smooth(fit.motion.jaw, weights, strength)
-    joints[:, 3:] = smooth(turns.reshape(count, 6), weights, strength).reshape(count, 2, 3)
     coefficients = smooth(fit.motion.coefficients, weights, strength)
+    visible = weights * (coefficients[:, -2:].max(axis=1) < CLOSED)
+    joints[:, 3:] = conjugate(turns, visible, clip.fps, smoothed)
     return Tracking(
         intrinsics=np.tile(fit.camera.lens.matrix(), (count, 1, 1)),
         world_to_camera=fit.camera.poses.matrices(),

@@ -6,10 +6,15 @@ import numpy as np
 from jaxtyping import Float
 
 from preprocess.rigid import Lens, Poses
+from preprocess.smoothing import penalty, smooth
 
 IRIS_SHARE = 0.87
 """Distance of the iris from the eye's centre over the eyeball's radius."""
 LARGEST_TURN = np.radians(40.0)
+CLOSED = 0.5
+"""Lids closed farther than this hide the iris."""
+GAZE_CUTOFF, VERGENCE_CUTOFF = 6.0, 1.0
+"""Fastest motion kept of what both eyes do alike, and of the angle between them, Hz."""
 
 
 def eye_turns(
@@ -56,3 +61,24 @@ def centered_eyes(
     apart = (usual[0, 1] - usual[1, 1] - vergence) / 2
     raised = (usual[:, 0].mean() - pitch) * reach
     return eyes + np.array([[apart * reach, -raised, 0.0], [-apart * reach, -raised, 0.0]])
+
+
+def conjugate(
+    turns: Float[np.ndarray, "T 2 3"], visible: Float[np.ndarray, " T"], fps: float, smoothed: bool
+) -> Float[np.ndarray, "T 2 3"]:
+    """Turns of two eyes that move together: raised alike, turned alike but for a vergence that changes slowly.
+
+    Each iris is hard to see by itself (a lid hides part of it, the far side of the face turns it away); people's eyes
+    are yoked, so what one shows holds for the other too.
+
+    Args:
+        turns: Of the left and the right eye without torsion, rad.
+        visible: Weight of each frame, 0 where the irises are hidden; such frames are filled.
+        fps: Frames a second.
+        smoothed: Smooth over time; else frames stay as they are.
+    """
+    together, apart = turns.mean(axis=1), (turns[:, 0] - turns[:, 1]) / 2 * np.array([0.0, 1.0, 0.0])
+    if smoothed:
+        together = smooth(together, visible, penalty(GAZE_CUTOFF, fps))
+        apart = smooth(apart, visible, penalty(VERGENCE_CUTOFF, fps))
+    return np.stack((together + apart, together - apart), axis=1)

@@ -21,7 +21,7 @@ from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
 from preprocess.expression_axes import AXES, score
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_tracking import track_flame
-from preprocess.gaze import centered_eyes, eye_turns
+from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.options import PrepOptions
 from preprocess.rigid import nearest_true
@@ -39,7 +39,7 @@ WITHOUT_BUNDLE = (
     "expression axes come from the clip's own motion alone"
 )
 EXPRESSION_CUTOFF, LID_CUTOFF = 6.0, 9.0
-"""Fastest motion of expression, jaw and gaze, and of the lids, that is kept, Hz."""
+"""Fastest motion of expression and jaw, and of the lids, that is kept, Hz."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,9 @@ def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
 
     joints = np.zeros((count, len(JOINT_NAMES), 3))
     joints[:, JOINT_NAMES.index("jaw"), :2] = steady(fit.motion.jaw, EXPRESSION_CUTOFF)
-    joints[:, 3:5] = steady(_turns(watched, fit), EXPRESSION_CUTOFF)
+    lids = closing(steady(fit.motion.coefficients[:, -2:], LID_CUTOFF), clip.blendshapes)
+    visible = weights * (lids.max(axis=1) < CLOSED)
+    joints[:, 3:5] = conjugate(_turns(watched, fit), visible, clip.fps, smoothed)
     pivots = TorsoPivots(fit.shape.joints[JOINT_NAMES.index("cervical")], fit.shape.joints[JOINT_NAMES.index("torso")])
     torso = torso_poses(watched.torso, camera.poses, camera.lens, clip.fps)
     joints[:, 5], joints[:, 6] = neck_turns(torso, camera.poses, pivots)
@@ -167,7 +169,7 @@ def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
         world_to_camera=camera.poses.matrices(),
         expression=steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF),
         joint_rotations=joints,
-        eyelids=closing(steady(fit.motion.coefficients[:, -2:], LID_CUTOFF), clip.blendshapes),
+        eyelids=lids,
         translation=np.zeros((count, 3)),
         landmarks=np.where(clip.seen[:, None, None], clip.points, np.nan),
     )

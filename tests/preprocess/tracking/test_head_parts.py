@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from preprocess.face_embedding import boundary_loops, closest_points
-from preprocess.gaze import IRIS_SHARE, centered_eyes, eye_turns
+from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
 from preprocess.rigid import Lens, Poses
 from preprocess.surface_extension import SurfaceExtension
 from preprocess.torso import TorsoPivots, TorsoTracker, neck_turns, torso_poses
@@ -94,6 +94,20 @@ def test_eyes_are_moved_until_they_look_at_the_camera() -> None:
     np.testing.assert_allclose(moved, true, atol=2e-4)
     turns = eye_turns(irises, LENS, poses, moved, radius)
     np.testing.assert_allclose(turns[:, 0, 1] - turns[:, 1, 1], -0.066 / 0.8, atol=np.radians(0.5))
+
+
+def test_yoked_eyes_are_surer_than_each_alone_and_blinks_are_bridged() -> None:
+    time, generator = np.arange(200) / 25, np.random.default_rng(1)
+    common = np.stack((0.10 * np.sin(2 * time), 0.25 * np.cos(1.5 * time), 0 * time), axis=1)
+    true = common[:, None] + np.array([[0.0, -0.04, 0.0], [0.0, 0.04, 0.0]])
+    noisy = true + generator.normal(0, 0.05, true.shape) * [1.0, 1.0, 0.0]
+    visible = np.ones(200)
+    visible[90:95] = 0
+    noisy[90:95, :, 0] -= 0.6
+    found = conjugate(noisy, visible, 25.0, True)
+    assert np.abs(found - true).max() < 0.12 and np.sqrt(((found - true) ** 2).mean()) < 0.02
+    np.testing.assert_array_equal(found[:, 0, 0], found[:, 1, 0])
+    np.testing.assert_allclose(conjugate(true, visible, 25.0, False), true, atol=1e-12)
 
 
 def cloth(shift: tuple[float, float]) -> np.ndarray:
