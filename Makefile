@@ -14,6 +14,7 @@ TABLE_FRAMES ?= 600
 TABLE_SIZE ?= 256
 TABLE_STEPS ?= 1500
 TABLE_METHODS ?= point_avatar flash_avatar gaussian_avatars ggavatar
+TABLE_FLAGS ?=
 SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
@@ -29,7 +30,7 @@ demo: $(VENV)/installed
 
 table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))
 	@$(BIN)/ggavatar-sweep $(patsubst %,$(TABLE)/captures/subject-%,$(TABLE_IDS)) --methods $(TABLE_METHODS) \
-		--steps $(TABLE_STEPS) -o $(TABLE)/runs
+		--steps $(TABLE_STEPS) $(TABLE_FLAGS) -o $(TABLE)/runs
 
 $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 	@test -f $(TABLE)/subjects/$*/README.txt || $(BIN)/ggavatar-demo --id $* --frames $(TABLE_FRAMES) --size $(TABLE_SIZE) \
