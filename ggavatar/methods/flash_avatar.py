@@ -34,13 +34,13 @@ from ggavatar.geometry import project, quaternion_multiply
 from ggavatar.head.model import HeadModel
 from ggavatar.hulls import hull_mask
 from ggavatar.losses import huber
-from ggavatar.methods.ggavatar import region_boxes
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import POSE_FEATURES, HeadPoses
+from ggavatar.region_boxes import region_boxes
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
-from ggavatar.schedule import seeded
+from ggavatar.schedule import log_linear, seeded
 from ggavatar.uv_sampling import SurfaceSamples, ever_facing, face_areas, open_rim, strip_samples, texel_samples
 
 ITERATIONS = 150_000
@@ -56,7 +56,7 @@ class Config:
     """Every number of the method. Iterations are those of the authors' 150,000 and scale with the training."""
 
     texels: int = 128
-    """Texels along an edge of the texture (code's default; 256 in GGAvatar's comparison)."""
+    """Texels along an edge of the texture (code; 256 in GGAvatar's comparison), if --max-gaussians allows."""
     layout: Literal["strip", "head"] = "strip"
     """Texture layout: one that is made for the head, or the head file's own if it has one."""
     room_power: float = 0.5
@@ -83,6 +83,8 @@ class Config:
 
     network_rate: float = 1e-4
     """Learning rate of the network (code)."""
+    network_decay: float = 1.0
+    """Share of the network's rate that is left at the end, reached exponentially; 1 is constant (code)."""
     scale_rate: float = 5e-3
     """Learning rate of the logarithms of scales (code)."""
     rotation_rate: float = 1e-3
@@ -120,6 +122,7 @@ SHORT: dict[str, Any] = {
     "first_offsets": "none",
     "first_colors": "frames",
     "network_rate": 1e-3,
+    "network_decay": 0.01,
     "perceptual_mode": "crops",
     "crop_side": 64,
 }
@@ -185,7 +188,10 @@ class FlashAvatar(nn.Module):
 
     @torch.no_grad()
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """The stage of the next step; rates and rows stay as they are."""
+        """Stage and network rate of the next step; rows and their rates stay."""
+        first, steps = self.config.network_rate, self.scene.steps
+        rate = log_linear(step, first, first * self.config.network_decay, steps)
+        self.network_optimizer.param_groups[0]["lr"] = rate
         self.steps_done.fill_(step)
 
     def notes(self) -> dict[str, str]:

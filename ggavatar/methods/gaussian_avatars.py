@@ -27,10 +27,10 @@ from ggavatar.density import DensityControl, accumulate
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.geometry import TriangleFrames, triangle_frames
 from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
-from ggavatar.methods import ggavatar
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import HeadPoses
+from ggavatar.region_boxes import region_boxes
 from ggavatar.scene import Scene
 from ggavatar.schedule import PAPER_STEPS, log_linear, scaled, seeded
 
@@ -213,7 +213,7 @@ class GaussianAvatars(nn.Module):
             "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),
         }
         if config.perceptual_weight and step > config.perceptual_share * self.scene.steps:
-            boxes = ggavatar.region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
         return terms
 

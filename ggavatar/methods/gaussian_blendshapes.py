@@ -34,11 +34,11 @@ from ggavatar.density import DensityControl, accumulate, statistics
 from ggavatar.geometry import invert_rigid, quaternion_multiply
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import dssim, l1
-from ggavatar.methods import ggavatar
 from ggavatar.mouth_interior import MouthCylinder
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import HeadPoses
+from ggavatar.region_boxes import region_boxes
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
 from ggavatar.schedule import log_linear, scaled, seeded
@@ -224,7 +224,7 @@ class GaussianBlendshapes(nn.Module):
             apart = torch.stack([(teeth * one).sum() / one.sum().clamp_min(1) for one in sets])
             terms["mouth"] = config.mouth_weight * apart.sum()
         if config.perceptual_weight:
-            boxes = ggavatar.region_boxes(self.head, frame)
+            boxes = region_boxes(self.head, frame)
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
         return terms
 

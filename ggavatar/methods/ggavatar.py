@@ -19,19 +19,20 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.binding import Placed, bind
+from ggavatar.bound_rows import BoundRates, bound_rows
 from ggavatar.colors import SH_C0, rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
-from ggavatar.density import DensityControl, accumulate, statistics
+from ggavatar.density import DensityControl, accumulate
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
-from ggavatar.geometry import TriangleFrames, project, triangle_frames
+from ggavatar.geometry import TriangleFrames, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
 from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import POSE_FEATURES, HeadPoses
-from ggavatar.rows import Column, Rows
+from ggavatar.region_boxes import region_boxes
 from ggavatar.scene import Scene
 from ggavatar.schedule import PAPER_STEPS, log_linear, scaled, seeded
 
@@ -184,7 +185,7 @@ class GGAvatar(nn.Module):
         self.head: HeadModel = scene.head
         self.poses = HeadPoses.of(self.head, scene.drives)
         self.neutral_frames = triangle_frames(self.head.neutral(), self.head.faces)
-        self.rows = first_rows(config, self.head, seeded(scene.seed, 4))
+        self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4))
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)
@@ -309,22 +310,15 @@ class GGAvatar(nn.Module):
         return min(int(self.steps_done) // interval, self.config.sh_degree)
 
 
-def first_rows(config: Config, head: HeadModel, generator: torch.Generator) -> Rows:
-    """One Gaussian at the centroid of every triangle, as large as it, nearly transparent and grey (GaussianAvatars)."""
-    count, device = len(head.faces), head.faces.device
-    grey = torch.rand(count, 1, 3, generator=generator) / 255
-    learnable = {
-        "means": Column(torch.zeros(count, 3), config.position_rate * config.extent),
-        "quats": Column(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), config.rotation_rate),
-        "log_scales": Column(torch.zeros(count, 3), config.scale_rate),
-        "opacity_logits": Column(torch.full((count,), 0.1).logit(), config.opacity_rate),
-        "sh": Column(grey, config.color_rate),
-    }
-    if config.sh_degree:
-        learnable["sh_rest"] = Column(torch.zeros(count, (config.sh_degree + 1) ** 2 - 1, 3), config.color_rate / 20)
-    carried = {"face": torch.arange(count), **statistics(count)}
-    moved = {name: Column(column.values.to(device), column.rate) for name, column in learnable.items()}
-    return Rows(moved, {name: values.to(device) for name, values in carried.items()})
+def rates(config: Config) -> BoundRates:
+    """Learning rates of the rows (Sec. 3.5)."""
+    return BoundRates(
+        means=config.position_rate * config.extent,
+        quats=config.rotation_rate,
+        log_scales=config.scale_rate,
+        opacity_logits=config.opacity_rate,
+        sh=config.color_rate,
+    )
 
 
 def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
@@ -374,14 +368,3 @@ def position_rate(config: Config, scene: Scene, step: int) -> float:
     """Learning rate of local positions after `step` steps."""
     first = config.position_rate * config.extent
     return log_linear(step, first, first * config.position_decay, scaled(config.position_iterations, scene.steps))
-
-
-@torch.no_grad()
-def region_boxes(head: HeadModel, frame: Frame) -> list[tuple[float, float, float, float]]:
-    """Bounding boxes of mouth and eyes in the image, px, where the head names these regions."""
-    names = [name for name in ("mouth", "lips", "eyes", "left_eye", "right_eye") if name in head.regions]
-    if not names:
-        return []
-    seen = project(head.vertices(frame.drive), frame.camera.intrinsics, frame.camera.world_to_camera)
-    boxes = [torch.cat((seen[head.regions[name]].amin(0), seen[head.regions[name]].amax(0))).tolist() for name in names]
-    return [(left, top, right, bottom) for left, top, right, bottom in boxes]

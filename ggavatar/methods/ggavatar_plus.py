@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.losses import l1
 from ggavatar.methods import ggavatar
+from ggavatar.region_boxes import region_boxes
 from ggavatar.scene import Scene
 
 Box = tuple[float, float, float, float]
@@ -93,7 +94,7 @@ class GGAvatarPlus(nn.Module):
         if self.config.alpha_weight:
             terms["alpha"] = self.config.alpha_weight * l1(rendering.alpha, frame.alpha)
         if self.config.region_weight and not self.avatar.is_neutral:
-            boxes = ggavatar.region_boxes(self.avatar.head, frame)
+            boxes = region_boxes(self.avatar.head, frame)
             share = 1 - self.avatar.config.dssim_share
             terms["regions"] = self.config.region_weight * share * regions_l1(rendering.image, frame.image, boxes)
         return terms

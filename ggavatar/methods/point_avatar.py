@@ -19,7 +19,6 @@ from torch.nn.functional import interpolate, mse_loss, normalize
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.losses import l1
-from ggavatar.methods.ggavatar import region_boxes
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
@@ -31,6 +30,7 @@ from ggavatar.points.rowwise import rowwise
 from ggavatar.points.shading import ShadingNetwork, shaded
 from ggavatar.points.skinning import deform, deformed_normals
 from ggavatar.pose import HeadPoses
+from ggavatar.region_boxes import region_boxes
 from ggavatar.render.disc_values import DiscRendering, Discs, similar_scale
 from ggavatar.render.discs import rasterizer as disc_rasterizer
 from ggavatar.scene import Scene

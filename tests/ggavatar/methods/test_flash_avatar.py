@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import signal
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -11,6 +14,7 @@ import torch
 from ggavatar import registry
 from ggavatar.batches import drives_and_cameras
 from ggavatar.capture import Capture
+from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame, Rendering
 from ggavatar.geometry import project, quaternion_to_matrix
 from ggavatar.head.model import HeadModel
@@ -26,7 +30,12 @@ from ggavatar.methods.flash_avatar import (
     scaled,
     spacing,
 )
+from ggavatar.progress import Silence
+from ggavatar.runs import RunConfig
 from ggavatar.scene import Scene
+from ggavatar.session import configure, make_trainer
+from ggavatar.splits import Split
+from ggavatar.trainer import StopSignals
 
 
 def drawn(*shape: int) -> torch.Tensor:
@@ -197,6 +206,13 @@ def test_rates_and_moments_are_the_codes(avatar: FlashAvatar) -> None:
     assert network.param_groups[0]["lr"] == 1e-4 and network.param_groups[0]["betas"] == (0.9, 0.999)
 
 
+def test_the_networks_rate_is_constant_or_falls_exponentially(scene: Scene) -> None:
+    for decay, halfway in ((1.0, 1e-4), (0.01, 1e-5)):
+        avatar = build(Config(network_decay=decay), scene)
+        avatar.after_backward(frame_of(avatar)[1], 750)
+        assert avatar.optimizers()[1].param_groups[0]["lr"] == pytest.approx(halfway)
+
+
 def test_number_of_texels_and_the_limit(scene: Scene, toy_head: HeadModel) -> None:
     roomy = dataclasses.replace(scene, max_gaussians=100_000)
     assert len(build(Config(texels=32), roomy).rows) == round(32**2 * FLAME_COVERAGE)
@@ -244,3 +260,37 @@ def test_state_brings_back_the_places(scene: Scene) -> None:
     opened.load_state_dict(saved.state_dict())
     for field in ("means", "quats", "scales"):
         assert torch.equal(getattr(saved.gaussians(drive), field), getattr(opened.gaussians(drive), field))
+
+
+class Brake(Silence):
+    """A listener that asks to stop after a step, as a signal would."""
+
+    def __init__(self, stop: StopSignals, last: int) -> None:
+        self.stop, self.last = stop, last
+
+    def step(self, step: int, loss: float, gaussians: int) -> None:
+        if step == self.last:
+            self.stop.received = signal.SIGTERM
+
+
+def test_two_runs_and_a_broken_one_are_bit_identical(toy_capture: Capture, tmp_path: Path) -> None:
+    """Broken off before and after the perceptual term begins (step 2 of 20)."""
+    options = {"method": "flash_avatar", "steps": 20, "eval_every": 0, "max_gaussians": 200, "device": "cpu"}
+    states = []
+    for name, stops in (("straight", ()), ("again", ()), ("broken", (1, 2, 11))):
+        (tmp_path / name).mkdir()
+        for last in (*stops, 20):
+            stop = StopSignals()
+            trainer = make_trainer(tmp_path / name, *_configured(toy_capture, {**options, "set": ["crop_side=16"]}))
+            trainer.listener = Brake(stop, last)
+            assert trainer.run(trainer.resume(), stop) == last
+        states.append(load_checkpoint(tmp_path / name / "checkpoints")[0])
+    assert len(states[0]["avatar.rows.learnable.sh"]) == 200
+    for other in states[1:]:
+        assert other.keys() == states[0].keys()
+        assert all(torch.equal(values, states[0][name]) for name, values in other.items())
+
+
+def _configured(capture: Capture, options: dict[str, Any]) -> tuple[RunConfig, Capture, Split]:
+    config, split = configure(capture, options)
+    return config, capture, split
