@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,10 @@ import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from ggavatar.arrays import npz_headers, read_npz
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 
-MAX_BYTES = 2 << 30
 MAX_VERTICES = 2_000_000
 _REAL = ("template", "expression_basis", "pose_basis", "eyelid_basis", "joint_regressor", "skinning_weights")
 _REQUIRED = (*_REAL, "faces", "parents", "joint_names", "version")
@@ -75,32 +74,13 @@ def load_head(path: Path | str) -> HeadModel:
 
 
 def _read(path: Path) -> dict[str, ndarray]:
-    """All arrays of the file, after a look at its declared sizes."""
+    """All arrays of the file that mean something here."""
     if not path.is_file():
         raise InputError(
             f"expected a head model file (head.npz), found {'a folder' if path.is_dir() else 'nothing'} at {path}"
         )
-    try:
-        with zipfile.ZipFile(path) as archive:
-            total = sum(entry.file_size for entry in archive.infolist())
-        if total > MAX_BYTES:
-            raise InputError(
-                f"{path}: expected at most {MAX_BYTES >> 20} MiB of arrays, found {total >> 20} MiB declared; "
-                "is this a head model?"
-            )
-        with np.load(path, allow_pickle=False) as stored:
-            wanted = [key for key in stored.files if key in (*_REQUIRED, *_OPTIONAL) or key.startswith(_REGION)]
-            arrays = {key: stored[key] for key in wanted}
-    except InputError:
-        raise
-    except (zipfile.BadZipFile, ValueError, EOFError, KeyError, OSError) as error:
-        raise InputError(
-            f"{path}: expected an npz of plain arrays, found something else ({error}); write it with save_head"
-        ) from error
-    foreign = [key for key, value in arrays.items() if not isinstance(value, ndarray)]
-    if foreign:
-        raise InputError(f"{path}: {foreign[0]}: expected an array, found other data; write the file with save_head")
-    return arrays
+    known = {*_REQUIRED, *_OPTIONAL}
+    return read_npz(path, [key for key in npz_headers(path) if key in known or key.startswith(_REGION)])
 
 
 class _Checks:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from ggavatar import arrays as array_files
 from ggavatar.errors import InputError
-from ggavatar.head import files
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
 
@@ -96,7 +96,7 @@ def test_a_missing_key_is_named(stored):
 def test_pickled_objects_are_refused(stored):
     path, arrays = stored
     np.savez(path, allow_pickle=True, **(arrays | {"template": np.array([{"a": 1}], dtype=object)}))
-    with pytest.raises(InputError, match="plain arrays"):
+    with pytest.raises(InputError, match="objects"):
         load_head(path)
 
 
@@ -117,8 +117,8 @@ def test_no_file_and_a_folder_are_refused(tmp_path):
 
 def test_declared_sizes_are_limited_before_reading(stored, monkeypatch):
     path, _ = stored
-    monkeypatch.setattr(files, "MAX_BYTES", 100)
-    with pytest.raises(InputError, match="at most"):
+    monkeypatch.setattr(array_files, "MAX_ARCHIVE_BYTES", 100)
+    with pytest.raises(InputError, match="the limit is"):
         load_head(path)
 
 
