@@ -218,8 +218,10 @@ def test_objective_by_hand(toy_capture: Capture, toy_head: HeadModel) -> None:
 
 def test_teeth_follow_head_and_jaw_rigidly(toy_capture: Capture, toy_head: HeadModel) -> None:
     avatar = make(toy_capture, toy_head)
-    drive = dataclasses.replace(avatar.scene.drives[2], expression=torch.tensor([1.0, 0.5, -0.5]))
-    drive.joint_rotations[1] = torch.tensor([0.0, 0.2, 0.1])
+    joints = avatar.scene.drives[2].joint_rotations.clone()  # the capture is everybody's
+    joints[1] = torch.tensor([0.0, 0.2, 0.1])
+    expression = torch.tensor([1.0, 0.5, -0.5])
+    drive = dataclasses.replace(avatar.scene.drives[2], expression=expression, joint_rotations=joints)
     turns, shifts = toy_head.joint_transforms(drive)
     means = avatar.gaussians(drive).means
     for which, joint in enumerate(("neck", "jaw")):
