@@ -27,10 +27,10 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from ggavatar.batches import spaced
-from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.geometry import project, quaternion_multiply
+from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.hulls import hull_mask
 from ggavatar.losses import huber
@@ -40,7 +40,7 @@ from ggavatar.pose import POSE_FEATURES, HeadPoses
 from ggavatar.region_boxes import region_boxes
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
-from ggavatar.schedule import log_linear, seeded
+from ggavatar.schedule import scaled, seeded
 from ggavatar.uv_sampling import SurfaceSamples, ever_facing, face_areas, open_rim, strip_samples, texel_samples
 
 ITERATIONS = 150_000
@@ -83,8 +83,6 @@ class Config:
 
     network_rate: float = 1e-4
     """Learning rate of the network (code)."""
-    network_decay: float = 1.0
-    """Share of the network's rate that is left at the end, reached exponentially; 1 is constant (code)."""
     scale_rate: float = 5e-3
     """Learning rate of the logarithms of scales (code)."""
     rotation_rate: float = 1e-3
@@ -122,7 +120,6 @@ SHORT: dict[str, Any] = {
     "first_offsets": "none",
     "first_colors": "frames",
     "network_rate": 1e-3,
-    "network_decay": 0.01,
     "perceptual_mode": "crops",
     "crop_side": 64,
 }
@@ -134,9 +131,8 @@ PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": 
 def build(config: Config, scene: Scene) -> FlashAvatar:
     """The avatar before its first step."""
     avatar = FlashAvatar(config, scene).to(scene.background.device)
-    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
-        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
-        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    if config.first_colors == "frames":
+        color_from_frames(avatar.rows, avatar.gaussians, scene)
     return avatar
 
 
@@ -177,7 +173,7 @@ class FlashAvatar(nn.Module):
             "huber": huber(rendering.image, frame.image, config.huber_delta),
             "mouth": config.mouth_weight * huber(rendering.image * mask, frame.image * mask, config.huber_delta),
         }
-        if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps):
+        if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps, ITERATIONS):
             boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image * frame.alpha, frame.image * frame.alpha, step, boxes))
         return terms
@@ -188,10 +184,7 @@ class FlashAvatar(nn.Module):
 
     @torch.no_grad()
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Stage and network rate of the next step; rows and their rates stay."""
-        first, steps = self.config.network_rate, self.scene.steps
-        rate = log_linear(step, first, first * self.config.network_decay, steps)
-        self.network_optimizer.param_groups[0]["lr"] = rate
+        """The stage of the next step; rates and rows stay as they are."""
         self.steps_done.fill_(step)
 
     def notes(self) -> dict[str, str]:
@@ -229,12 +222,13 @@ class FlashAvatar(nn.Module):
 
     def _colors(self) -> Float[Tensor, "N K 3"]:
         rows = self.rows
-        return torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
+        return harmonics(rows)
 
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
-        interval = max(scaled(self.config.sh_iterations, self.scene.steps), 1)
-        return min(int(self.steps_done) // interval, self.config.sh_degree)
+        return degree_in_use(
+            self.steps_done, scaled(self.config.sh_iterations, self.scene.steps, ITERATIONS), self.config.sh_degree
+        )
 
     @torch.no_grad()
     def _mouth(self, frame: Frame) -> Float[Tensor, "H W 1"]:
@@ -275,11 +269,6 @@ def encoded(points: Float[Tensor, "N 3"], octaves: int) -> Float[Tensor, "N D"]:
     """The points (m) and, octave by octave, sines and cosines of 2ᵏx, without π."""
     angles = points[:, None] * 2.0 ** torch.arange(octaves, device=points.device, dtype=points.dtype)[:, None]
     return torch.cat((points, torch.stack((angles.sin(), angles.cos()), dim=2).flatten(1)), dim=-1)
-
-
-def scaled(iteration: int, steps: int) -> int:
-    """An iteration constant of the authors' 150,000 scaled to a training of `steps`."""
-    return round(iteration * steps / ITERATIONS)
 
 
 @torch.no_grad()

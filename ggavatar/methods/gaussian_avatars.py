@@ -21,12 +21,12 @@ from torch import Tensor, nn
 
 from ggavatar.binding import bind
 from ggavatar.bound_rows import BoundRates, bound_rows
-from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.density import DensityControl, accumulate
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.geometry import TriangleFrames, triangle_frames
-from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
+from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import HeadPoses
@@ -162,9 +162,8 @@ PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": 
 def build(config: Config, scene: Scene) -> GaussianAvatars:
     """The avatar before its first step."""
     avatar = GaussianAvatars(config, scene).to(scene.background.device)
-    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
-        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
-        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    if config.first_colors == "frames":
+        color_from_frames(avatar.rows, avatar.gaussians, scene)
     return avatar
 
 
@@ -198,7 +197,7 @@ class GaussianAvatars(nn.Module):
         """The avatar posed by `drive`, in world space; a training frame's drive is corrected first (Sec. 3.2, 3.4)."""
         rows, frames = self.rows, self._face_frames(drive)
         means, quats, scales = bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], frames)
-        sh = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
+        sh = harmonics(rows)
         return Gaussians(means, quats, scales, rows["opacity_logits"].sigmoid(), sh, self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
@@ -206,8 +205,7 @@ class GaussianAvatars(nn.Module):
         config, rows = self.config, self.rows
         visible, local_scales = rendering.radii > 0, rows["log_scales"].exp()
         terms = {
-            "l1": (1 - config.dssim_share) * l1(rendering.image, frame.image),
-            "dssim": config.dssim_share * dssim(rendering.image, frame.image),
+            **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),
             "position": config.position_weight
             * position_regulariser(rows["means"], visible, config.position_threshold),
             "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),
@@ -249,8 +247,11 @@ class GaussianAvatars(nn.Module):
 
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
-        interval = max(scaled(self.config.sh_iterations, self.scene.steps, self.config.iterations), 1)
-        return min(int(self.steps_done) // interval, self.config.sh_degree)
+        return degree_in_use(
+            self.steps_done,
+            scaled(self.config.sh_iterations, self.scene.steps, self.config.iterations),
+            self.config.sh_degree,
+        )
 
 
 def drive_corrections(config: Config, scene: Scene) -> DriveCorrections | None:

@@ -27,13 +27,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss, normalize
 
-from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.deformation_transfer import FaceChanges, transferred
 from ggavatar.density import DensityControl, accumulate, statistics
 from ggavatar.geometry import invert_rigid, quaternion_multiply
+from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
-from ggavatar.losses import dssim, l1
+from ggavatar.losses import image_terms
 from ggavatar.mouth_interior import MouthCylinder
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
@@ -159,9 +159,8 @@ PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": 
 def build(config: Config, scene: Scene) -> GaussianBlendshapes:
     """The avatar before its first step."""
     avatar = GaussianBlendshapes(config, scene).to(scene.background.device)
-    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
-        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
-        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    if config.first_colors == "frames":
+        color_from_frames(avatar.rows, avatar.gaussians, scene)
     return avatar
 
 
@@ -214,8 +213,7 @@ class GaussianBlendshapes(nn.Module):
         """Image, coverage and the mouth's cylinder (Sec. 3.4); the perceptual loss where it was asked for."""
         config = self.config
         terms = {
-            "l1": (1 - config.dssim_share) * l1(rendering.image, frame.image),
-            "dssim": config.dssim_share * dssim(rendering.image, frame.image),
+            **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),
             "alpha": config.alpha_weight * mse_loss(rendering.alpha, frame.alpha),
         }
         if self.mouth is not None:
@@ -279,13 +277,16 @@ class GaussianBlendshapes(nn.Module):
     def _colors(self, tinted: Float[Tensor, "N K 3"]) -> Float[Tensor, "N L 3"]:
         """Spherical harmonics with their differences."""
         rows, count = self.rows, tinted.shape[1]
-        sh = torch.cat((rows["sh"], rows["sh_rest"]), dim=1) if self.config.sh_degree else rows["sh"]
+        sh = harmonics(rows)
         return torch.cat((sh[:, :count] + tinted, sh[:, count:]), dim=1)
 
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
-        interval = max(scaled(self.config.sh_iterations, self.scene.steps, self.config.iterations), 1)
-        return min(int(self.steps_done) // interval, self.config.sh_degree)
+        return degree_in_use(
+            self.steps_done,
+            scaled(self.config.sh_iterations, self.scene.steps, self.config.iterations),
+            self.config.sh_degree,
+        )
 
 
 def blend(differences: Float[Tensor, "N D M"], weights: Float[Tensor, "N M"]) -> Float[Tensor, "N D"]:

@@ -20,12 +20,13 @@ from torch import Tensor, nn
 
 from ggavatar.binding import Placed, bind
 from ggavatar.bound_rows import BoundRates, bound_rows
-from ggavatar.colors import SH_C0, rgb_to_sh, splatted_colors
+from ggavatar.colors import SH_C0
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.density import DensityControl, accumulate
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry import TriangleFrames, triangle_frames
+from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
 from ggavatar.offsets import COLOUR, Offsets, refine
@@ -168,9 +169,8 @@ PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": 
 def build(config: Config, scene: Scene) -> GGAvatar:
     """The avatar before its first step."""
     avatar = GGAvatar(config, scene).to(scene.background.device)
-    if config.first_colors == "frames" and scene.rasterize is not None and scene.samples:
-        colors = splatted_colors(avatar.gaussians, scene.samples, scene.rasterize)
-        avatar.rows.replace("sh", rgb_to_sh(colors)[:, None])
+    if config.first_colors == "frames":
+        color_from_frames(avatar.rows, avatar.gaussians, scene)
     return avatar
 
 
@@ -299,15 +299,15 @@ class GGAvatar(nn.Module):
 
     def _colors(self, offsets: Offsets | None) -> Float[Tensor, "N K 3"]:
         """Spherical harmonics; with colour rows, the constant one moves with the condition."""
-        constant = self.rows["sh"]
-        if offsets is not None and offsets.colors is not None:
-            constant = constant + (self.config.color_unit / SH_C0) * offsets.colors[:, None]
-        return torch.cat((constant, self.rows["sh_rest"]), dim=1) if self.config.sh_degree else constant
+        if offsets is None or offsets.colors is None:
+            return harmonics(self.rows)
+        return harmonics(self.rows, self.rows["sh"] + (self.config.color_unit / SH_C0) * offsets.colors[:, None])
 
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
-        interval = max(scaled(self.config.sh_iterations, self.scene.steps), 1)
-        return min(int(self.steps_done) // interval, self.config.sh_degree)
+        return degree_in_use(
+            self.steps_done, scaled(self.config.sh_iterations, self.scene.steps), self.config.sh_degree
+        )
 
 
 def rates(config: Config) -> BoundRates:

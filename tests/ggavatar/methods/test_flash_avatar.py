@@ -22,17 +22,18 @@ from ggavatar.head.procedural import procedural_head
 from ggavatar.losses import huber
 from ggavatar.methods.flash_avatar import (
     FLAME_COVERAGE,
+    ITERATIONS,
     Config,
     FlashAvatar,
     build,
     encoded,
     moved,
-    scaled,
     spacing,
 )
 from ggavatar.progress import Silence
 from ggavatar.runs import RunConfig
 from ggavatar.scene import Scene
+from ggavatar.schedule import scaled
 from ggavatar.session import configure, make_trainer
 from ggavatar.splits import Split
 from ggavatar.trainer import StopSignals
@@ -61,7 +62,7 @@ def test_authors_numbers_are_the_paper_preset() -> None:
     assert (config.opacity_rate, config.color_rate, config.sh_iterations) == (0.05, 2.5e-3, 500)
     assert (config.huber_delta, config.mouth_weight, config.perceptual_iterations) == (0.1, 40, 15_000)
     assert registry.load("flash_avatar_uv_256").config("paper").texels == 256
-    assert scaled(15_000, 1_500) == 150 and scaled(500, 150_000) == 500
+    assert scaled(15_000, 1_500, ITERATIONS) == 150 and scaled(500, 150_000, ITERATIONS) == 500
 
 
 def test_encoding_is_raw_and_sines_of_powers_of_two_without_pi() -> None:
@@ -204,13 +205,6 @@ def test_rates_and_moments_are_the_codes(avatar: FlashAvatar) -> None:
     expected = {"quats": 1e-3, "log_scales": 5e-3, "opacity_logits": 0.05, "sh": 2.5e-3, "sh_rest": 2.5e-3 / 20}
     assert rates == pytest.approx(expected) and rows.param_groups[0]["eps"] == 1e-15
     assert network.param_groups[0]["lr"] == 1e-4 and network.param_groups[0]["betas"] == (0.9, 0.999)
-
-
-def test_the_networks_rate_is_constant_or_falls_exponentially(scene: Scene) -> None:
-    for decay, halfway in ((1.0, 1e-4), (0.01, 1e-5)):
-        avatar = build(Config(network_decay=decay), scene)
-        avatar.after_backward(frame_of(avatar)[1], 750)
-        assert avatar.optimizers()[1].param_groups[0]["lr"] == pytest.approx(halfway)
 
 
 def test_number_of_texels_and_the_limit(scene: Scene, toy_head: HeadModel) -> None:
