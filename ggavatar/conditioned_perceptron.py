@@ -1,7 +1,8 @@
 """A deep network over many rows that share one condition, at no more than its matrix products cost.
 
 The condition's part of the first layer is one vector for all rows, and rows without an upstream gradient (Gaussians
-that the image does not show) are left out of the backward pass. Both are exact.
+that the image does not show) are left out of the backward pass. Both are exact. Hidden layers may be of bfloat16; what
+learns and the outputs are of float32.
 """
 
 from __future__ import annotations
@@ -28,13 +29,21 @@ class ConditionedPerceptron(nn.Module):
         depth: How many hidden layers there are.
         outputs: Numbers a row at the end.
         generator: Draws the initial weights.
+        hidden_type: Of the hidden layers' products; the parameters' own if not given.
     """
 
     def __init__(
-        self, features: int, conditions: int, hidden: int, depth: int, outputs: int, generator: torch.Generator
+        self,
+        features: int,
+        conditions: int,
+        hidden: int,
+        depth: int,
+        outputs: int,
+        generator: torch.Generator,
+        hidden_type: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        self.features = features
+        self.features, self.hidden_type = features, hidden_type
         widths = (features + conditions, *[hidden] * depth, outputs)
         self.layers = nn.ModuleList(linear(before, after, generator) for before, after in pairwise(widths))
 
@@ -43,20 +52,24 @@ class ConditionedPerceptron(nn.Module):
         first, *others = (cast(nn.Linear, layer) for layer in self.layers)
         shared = first.weight[:, self.features :] @ condition + first.bias
         parameters = [part for layer in others for part in (layer.weight, layer.bias)]
-        return cast(Tensor, _Rows.apply(features, first.weight[:, : self.features], shared, *parameters))
+        hidden_type = self.hidden_type or features.dtype
+        return cast(Tensor, _Rows.apply(hidden_type, features, first.weight[:, : self.features], shared, *parameters))
 
 
 class _Rows(torch.autograd.Function):
     """The layers over all rows; weight and bias alternate in `parameters`, the first layer's come first."""
 
     @staticmethod
-    def forward(ctx: Any, features: Tensor, *parameters: Tensor) -> Tensor:
-        kept = [features]
-        for at in range(0, len(parameters) - 2, 2):
-            kept.append(torch.addmm(parameters[at + 1], kept[-1], parameters[at].T).relu_())
+    def forward(ctx: Any, hidden_type: torch.dtype, features: Tensor, *parameters: Tensor) -> Tensor:
+        *hidden, last_weight, last_bias = (
+            *(parameter.to(hidden_type) for parameter in parameters[:-2]), *parameters[-2:]
+        )  # fmt: skip
+        kept = [features.to(hidden_type)]
+        for weight, bias in zip(hidden[::2], hidden[1::2], strict=True):
+            kept.append(torch.addmm(bias, kept[-1], weight.T).relu_())
         if any(ctx.needs_input_grad):
-            ctx.save_for_backward(*kept, *parameters[::2])
-        return torch.addmm(parameters[-1], kept[-1], parameters[-2].T)
+            ctx.save_for_backward(*kept, *hidden[::2], last_weight)
+        return torch.addmm(last_bias, kept[-1].to(last_weight), last_weight.T)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
@@ -66,7 +79,8 @@ class _Rows(torch.autograd.Function):
         gradient, found = upstream[active], []
         for number in reversed(range(half)):
             inputs = kept[number][active]
-            found += [gradient.sum(0), gradient.T @ inputs]
+            weight = weights[number]
+            found += [gradient.sum(0), gradient.T @ inputs.to(weight)]
             if number:
-                gradient = (gradient @ weights[number]).mul_(inputs > 0)
-        return None, *reversed(found)
+                gradient = (gradient @ weight).to(inputs.dtype).mul_(inputs > 0)
+        return None, None, *(part.to(upstream) for part in reversed(found))

@@ -29,6 +29,7 @@ from torch.nn.functional import normalize
 from ggavatar.batches import spaced
 from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.fast_products import product_type
 from ggavatar.geometry import project, quaternion_multiply
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
@@ -76,6 +77,8 @@ class Config:
     """Width of the hidden layers (code)."""
     depth: int = 6
     """Number of hidden layers (code)."""
+    hidden_type: Literal["float32", "fastest"] = "float32"
+    """Hidden layers of float32 (code), or of bfloat16 on a CPU with instructions for it (ours; twice as fast)."""
     first_offsets: Literal["random", "none"] = "random"
     """Offsets to begin with: those of a random network (code), or none."""
     first_colors: Literal["grey", "frames"] = "grey"
@@ -117,6 +120,8 @@ VARIANTS: dict[str, dict[str, Any]] = {"uv_256": {"texels": 256}}
 SHORT: dict[str, Any] = {
     "pose_on": "neck",
     "condition": "face_and_pose",
+    "room_power": 1.0,
+    "hidden_type": "fastest",
     "first_offsets": "none",
     "first_colors": "frames",
     "network_rate": 1e-3,
@@ -284,7 +289,10 @@ def make_network(config: Config, scene: Scene) -> ConditionedPerceptron:
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
     conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
     features = 3 + 6 * config.octaves
-    network = ConditionedPerceptron(features, conditions, config.hidden, config.depth, 10, seeded(scene.seed, 5))
+    hidden_type = product_type(scene.background.device) if config.hidden_type == "fastest" else None
+    network = ConditionedPerceptron(
+        features, conditions, config.hidden, config.depth, 10, seeded(scene.seed, 5), hidden_type
+    )
     if config.first_offsets == "none":
         for parameter in network.layers[-1].parameters():
             nn.init.zeros_(parameter)

@@ -51,3 +51,20 @@ def test_start_is_torchs_and_repeats() -> None:
         bound = before**-0.5
         assert 0.98 * bound < layer.weight.abs().max() <= bound and layer.bias.abs().max() <= bound
         assert layer.weight.std().item() == pytest.approx(bound / 3**0.5, rel=0.03)
+
+
+def test_hidden_layers_of_bfloat16_are_those_of_float32_to_their_precision() -> None:
+    exact, fast = (
+        ConditionedPerceptron(51, 120, 64, 4, 10, torch.Generator().manual_seed(3), kind)
+        for kind in (None, torch.bfloat16)
+    )
+    generator = torch.Generator().manual_seed(4)
+    features, condition = torch.randn(300, 51, generator=generator), torch.randn(120, generator=generator)
+    weights = torch.randn(300, 10, generator=generator)
+    for network in (exact, fast):
+        (network(features, condition) * weights).sum().backward()
+    out, other = (network(features, condition).detach() for network in (exact, fast))
+    assert other.dtype == torch.float32 and 1e-6 < float((other - out).norm() / out.norm()) < 0.01
+    for one, two in zip(exact.parameters(), fast.parameters(), strict=True):
+        assert one.grad is not None and two.grad is not None and two.grad.dtype == torch.float32
+        assert float((two.grad - one.grad).norm() / one.grad.norm()) < 0.1  # rectifiers near zero flip

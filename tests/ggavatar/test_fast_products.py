@@ -1,0 +1,27 @@
+"""The type of hidden layers against what LLVM says of the processor."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from ggavatar import fast_products
+
+
+@pytest.mark.parametrize(
+    ("features", "expected"),
+    [
+        ({"avx512bf16": True, "avx2": True}, torch.bfloat16),
+        ({"amx-bf16": True}, torch.bfloat16),
+        ({"avx512f": True, "avx512bf16": False}, torch.float32),
+        ({}, torch.float32),
+    ],
+)
+def test_bfloat16_where_there_are_instructions_for_it(
+    features: dict[str, bool], expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: features)
+    fast_products._is_made_for_bfloat16.cache_clear()
+    assert fast_products.product_type(torch.device("cpu")) == expected
+    assert fast_products.product_type(torch.device("meta")) == torch.float32
+    fast_products._is_made_for_bfloat16.cache_clear()
