@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from ggavatar.acceleration import compiled_for
 from ggavatar.geometry import TriangleFrames, matrix_to_quaternion, quaternion_multiply
+from ggavatar.padding import flat, memory_of, padded
 
 
 class Placed(NamedTuple):
@@ -75,19 +76,13 @@ class _CompiledBind(torch.autograd.Function):
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
         from ggavatar import binding_kernel as kernels
 
-        means, quats, log_scales, index, centers, rotations, sizes, face_quats = inputs
-        local = kernels.Geometry(*(_array(value) for value in (means, quats, log_scales)))
-        ctx.index = index.contiguous().numpy()
-        if face_quats is None:
-            face_quats = torch.empty(len(centers), 4)
-            kernels.quaternions_of(_array(rotations), face_quats.numpy())
-        ctx.local, ctx.faces = (
-            local,
-            kernels.Faces(*(_array(value) for value in (centers, rotations, sizes, face_quats))),
-        )
-        world = torch.empty(len(means), 3), torch.empty(len(means), 4), torch.empty(len(means), 3)
-        ctx.scales = world[2].numpy()
-        kernels.place(local, ctx.index, ctx.faces, kernels.Geometry(*(value.numpy() for value in world)))
+        means, quats, log_scales, index, *frames, face_quats = inputs
+        ctx.local = kernels.Geometry(*(_array(value) for value in (means, quats, log_scales)))
+        ctx.index, ctx.frames = index.contiguous().numpy(), tuple(_array(value) for value in frames)
+        ctx.records = kernels.records_of(ctx.frames, None if face_quats is None else _array(face_quats))
+        world = _room_for(len(means))
+        ctx.scales = flat(world[2])
+        kernels.place(ctx.local, ctx.index, ctx.records, kernels.Geometry(*(memory_of(value) for value in world)))
         return world
 
     @staticmethod
@@ -95,15 +90,21 @@ class _CompiledBind(torch.autograd.Function):
         from ggavatar import binding_kernel as kernels
 
         wanted = kernels.Geometry(*(_array(value) for value in upstream))
-        gradients = [torch.empty(value.shape) for value in ctx.local]
-        found = kernels.Geometry(*(value.numpy() for value in gradients))
-        kernels.give_back(ctx.local, ctx.index, ctx.faces, wanted, ctx.scales, found)
+        gradients = _room_for(len(ctx.index))
+        found = kernels.Geometry(*(memory_of(value) for value in gradients))
+        kernels.give_back(ctx.local, ctx.index, ctx.records, wanted, ctx.scales, found)
         to_faces: list[Tensor] | list[None] = [None] * 4
         if any(ctx.needs_input_grad[4:]):
-            to_faces = [torch.zeros(value.shape) for value in ctx.faces]
+            faces = kernels.Faces(*(*ctx.frames, kernels.quats_in(ctx.records)))
+            to_faces = [torch.zeros(value.shape) for value in faces]
             sums = kernels.Faces(*(value.numpy() for value in to_faces))
-            kernels.add_to_faces(ctx.local, ctx.index, ctx.faces, wanted, ctx.scales, sums)
+            kernels.add_to_faces(ctx.local, ctx.index, faces, wanted, ctx.scales.reshape(-1, 3), sums)
         return *gradients, None, *to_faces
+
+
+def _room_for(count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Means, quaternions and scales of `count` Gaussians, to be filled in."""
+    return padded(count, 3), padded(count, 4), padded(count, 3)
 
 
 def _array(tensor: Tensor) -> Any:

@@ -1,4 +1,7 @@
-"""Gaussians from their triangles to the world, and the gradient back (compiled; twin: `binding.bind_in_torch`)."""
+"""Gaussians from their triangles to the world, and the gradient back (compiled; twin: `binding.bind_in_torch`).
+
+Sixteen Gaussians at a time. What they need of their triangles lies in one cache line per triangle.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +11,28 @@ import numpy as np
 from jaxtyping import Float32, Int64
 from numpy import ndarray
 
-from ggavatar.compiled import kernel, run
+from ggavatar.compiled import inlined, kernel, share
 from ggavatar.quaternions import (
     conjugate,
     from_matrix,
     inverse_length,
     product,
-    put,
     row,
     scaled,
     through_normalisation,
 )
+from ggavatar.render.cpu_shapes import columns_3, columns_4, dot
+from ggavatar.render.memory import load, pointer, store_columns, take_ticket, transpose
+from ggavatar.render.simd import LANES, exp, maximum, sqrt
 
-CHUNK = 8192
-"""Gaussians of a task."""
+CHUNK = 2048
+"""Gaussians of a piece of work."""
 
 Floats = Float32[ndarray, "..."]
 Indices = Int64[ndarray, " N"]
+
+ROTATION, CENTER, QUAT, RECORD = 0, 9, 12, 16
+"""Places in a triangle's record: size times rotation, row by row; centre; unit quaternion; and the record's length."""
 
 
 class Faces(NamedTuple):
@@ -45,40 +53,105 @@ class Geometry(NamedTuple):
 
 
 @kernel
-def quaternions_of(rotations, quats):
-    """Fill in the unit quaternions of all rotations."""
-    for n in range(rotations.shape[0]):
-        put(quats, n, from_matrix(rotations, n))
+def fill_records(centers, rotations, scales, records):
+    """Fill in the records [F, 16] of all triangles, their quaternions by the largest part of the rotation."""
+    for f in range(np.uint64(scales.size)):
+        for axis in range(np.uint64(3)):
+            records[f, np.uint64(CENTER) + axis] = centers[f, axis]
+            for column in range(np.uint64(3)):
+                records[f, np.uint64(3) * axis + column] = scales[f] * rotations[f, axis, column]
+        quat = from_matrix(rotations, f)
+        for part in range(4):
+            records[f, np.uint64(QUAT + part)] = quat[part]
 
 
 @kernel
-def place_range(local, index, faces, first, last, world):
-    """Gaussians `first` … `last` − 1 in the world (GGAvatar Eq. 6–8)."""
-    for n in range(np.uint64(first), np.uint64(last)):
-        f = np.uint64(index[n])
-        size, m = faces.scales[f], local.means[n]
-        for axis in range(3):
-            r = faces.rotations[f, axis]
-            world.means[n, axis] = size * (r[0] * m[0] + r[1] * m[1] + r[2] * m[2]) + faces.centers[f, axis]
-            world.scales[n, axis] = size * np.exp(local.scales[n, axis])
-        own = row(local.quats, n)
-        put(world.quats, n, product(row(faces.quats, f), scaled(own, inverse_length(own))))
+def place_chunks(tickets, local, index, records, world):
+    """Put chunks of Gaussians into the world until none is left (GGAvatar Eq. 6–8)."""
+    count = np.int64(index.size)
+    local, index, records, world = bare(local), pointer(index, 0), pointer(records, 0), bare(world)
+    first = take_ticket(tickets, 0) * CHUNK
+    while first < count:
+        for begin in range(first, min(first + CHUNK, count), LANES):
+            place_group(local, face_columns(records, index, begin, count - 1), begin, count - 1, world)
+        first = take_ticket(tickets, 0) * CHUNK
+
+
+@inlined
+def place_group(local, face, first, last, world):
+    """Sixteen Gaussians in the world."""
+    m = columns_3(local.means, first, last)
+    x, y, z = dot(face[0:3], m) + face[9], dot(face[3:6], m) + face[10], dot(face[6:9], m) + face[11]
+    store_columns(world.means, first * 3, (x, y, z))
+    own = columns_4(local.quats, first, last)
+    store_columns(world.quats, first * 4, product(face[12:16], scaled(own, one_over_length(own))))
+    across = (face[0], face[3], face[6])
+    size, logs = sqrt(dot(across, across)), columns_3(local.scales, first, last)
+    store_columns(world.scales, first * 3, (size * exp(logs[0]), size * exp(logs[1]), size * exp(logs[2])))
 
 
 @kernel
-def return_range(local, index, faces, first, last, upstream, world_scales, gradient):
-    """Gradients by the local geometry of Gaussians `first` … `last` − 1."""
-    for n in range(np.uint64(first), np.uint64(last)):
-        f = np.uint64(index[n])
-        size, g = faces.scales[f], upstream.means[n]
-        for axis in range(3):
-            r = faces.rotations[f]
-            gradient.means[n, axis] = size * (r[0, axis] * g[0] + r[1, axis] * g[1] + r[2, axis] * g[2])
-            gradient.scales[n, axis] = upstream.scales[n, axis] * world_scales[n, axis]
-        own = row(local.quats, n)
-        inverse = inverse_length(own)
-        turned = product(conjugate(row(faces.quats, f)), row(upstream.quats, n))
-        put(gradient.quats, n, through_normalisation(turned, scaled(own, inverse), inverse))
+def return_chunks(tickets, local, index, records, upstream, world_scales, gradient):
+    """Gradients by the local geometry of chunks of Gaussians until none is left."""
+    count = np.int64(index.size)
+    local, index, records, upstream = bare(local), pointer(index, 0), pointer(records, 0), bare(upstream)
+    world_scales, gradient = pointer(world_scales, 0), bare(gradient)
+    first = take_ticket(tickets, 0) * CHUNK
+    while first < count:
+        for begin in range(first, min(first + CHUNK, count), LANES):
+            face = face_columns(records, index, begin, count - 1)
+            return_group(local, face, begin, count - 1, upstream, world_scales, gradient)
+        first = take_ticket(tickets, 0) * CHUNK
+
+
+@inlined
+def return_group(local, face, first, last, upstream, world_scales, gradient):
+    """Gradients by the local geometry of sixteen Gaussians."""
+    g = columns_3(upstream.means, first, last)
+    x, y = dot((face[0], face[3], face[6]), g), dot((face[1], face[4], face[7]), g)
+    store_columns(gradient.means, first * 3, (x, y, dot((face[2], face[5], face[8]), g)))
+    g, s = columns_3(upstream.scales, first, last), columns_3(world_scales, first, last)
+    store_columns(gradient.scales, first * 3, (g[0] * s[0], g[1] * s[1], g[2] * s[2]))
+    own = columns_4(local.quats, first, last)
+    inverse = one_over_length(own)
+    turned = product(conjugate(face[12:16]), columns_4(upstream.quats, first, last))
+    store_columns(gradient.quats, first * 4, through_normalisation(turned, scaled(own, inverse), inverse))
+
+
+@inlined
+def bare(geometry):
+    """The geometry with pointers instead of arrays."""
+    return Geometry(pointer(geometry.means, 0), pointer(geometry.quats, 0), pointer(geometry.scales, 0))
+
+
+@inlined
+def one_over_length(quats):
+    """As `quaternions.inverse_length`, of sixteen quaternions."""
+    w, x, y, z = quats
+    return np.float32(1) / maximum(sqrt(w * w + x * x + y * y + z * z), np.float32(1e-12))
+
+
+@inlined
+def face_columns(records, index, first, last):
+    """The records of the triangles of sixteen Gaussians, one vector a place; rows beyond `last` repeat it."""
+    return transpose(
+        (
+            face(records, index, first, last), face(records, index, first + 1, last),
+            face(records, index, first + 2, last), face(records, index, first + 3, last),
+            face(records, index, first + 4, last), face(records, index, first + 5, last),
+            face(records, index, first + 6, last), face(records, index, first + 7, last),
+            face(records, index, first + 8, last), face(records, index, first + 9, last),
+            face(records, index, first + 10, last), face(records, index, first + 11, last),
+            face(records, index, first + 12, last), face(records, index, first + 13, last),
+            face(records, index, first + 14, last), face(records, index, first + 15, last),
+        )
+    )  # fmt: skip
+
+
+@inlined
+def face(records, index, n, last):
+    """The record of one Gaussian's triangle."""
+    return load(records, index[min(n, last)] * RECORD)
 
 
 @kernel
@@ -100,22 +173,27 @@ def add_to_faces(local, index, faces, upstream, world_scales, gradient):
             gradient.quats[f, part] += turned[part]
 
 
-def place(local: Geometry, index: Indices, faces: Faces, world: Geometry) -> None:
-    """Fill in the world's geometry of all Gaussians."""
-    count = len(index)
-    starts = range(0, count, CHUNK)
-    run(lambda k: place_range(local, index, faces, starts[k], min(starts[k] + CHUNK, count), world), len(starts))
+def records_of(frames: tuple[Floats, Floats, Floats], quats: Floats | None) -> Floats:
+    """The records [F, 16] of triangles, given centres, rotations and sizes; their own quaternions if given none."""
+    records = np.empty((len(frames[0]), RECORD), np.float32)
+    fill_records(*frames, records)
+    if quats is not None:
+        records[:, QUAT:] = quats
+    return records
+
+
+def quats_in(records: Floats) -> Floats:
+    """The quaternions [F, 4] in records."""
+    return np.ascontiguousarray(records[:, QUAT:])
+
+
+def place(local: Geometry, index: Indices, records: Floats, world: Geometry) -> None:
+    """Fill in the world's geometry of all Gaussians; its memory is for a multiple of sixteen rows."""
+    share(place_chunks, -(-len(index) // CHUNK), local, index, records, world)
 
 
 def give_back(
-    local: Geometry, index: Indices, faces: Faces, upstream: Geometry, world_scales: Floats, gradient: Geometry
+    local: Geometry, index: Indices, records: Floats, upstream: Geometry, world_scales: Floats, gradient: Geometry
 ) -> None:
-    """Fill in the gradients by the local geometry of all Gaussians."""
-    count = len(index)
-    starts = range(0, count, CHUNK)
-
-    def task(k: int) -> None:
-        last = min(starts[k] + CHUNK, count)
-        return_range(local, index, faces, starts[k], last, upstream, world_scales, gradient)
-
-    run(task, len(starts))
+    """Fill in the gradients by the local geometry of all Gaussians; their memory is for a multiple of sixteen rows."""
+    share(return_chunks, -(-len(index) // CHUNK), local, index, records, upstream, world_scales, gradient)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.compiled import run, share, workers
+from ggavatar.padding import flat, memory_of, padded
 from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
 from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.constants import CLAMP_MARGIN
@@ -30,21 +31,6 @@ class Lens(NamedTuple):
     width: int
     height: int
     degree: int
-
-
-def flat(tensor: Tensor) -> np.ndarray:
-    """The memory of a contiguous tensor as a flat array."""
-    return tensor.detach().view(-1).numpy()
-
-
-def padded(count: int, *columns: int) -> Tensor:
-    """An uninitialised tensor of `count` rows in memory for a multiple of sixteen."""
-    return torch.empty(-(-count // 16) * 16, *columns)[:count]
-
-
-def _memory(tensor: Tensor) -> np.ndarray:
-    """All the memory behind a tensor made by `padded`, as a flat array."""
-    return flat(tensor if tensor._base is None else tensor._base)
 
 
 def _floats(size: int) -> np.ndarray:
@@ -84,9 +70,9 @@ def view_array(lens: Lens, pose: Tensor, background: Tensor) -> np.ndarray:
 
 def project_all(cloud: Cloud, view: np.ndarray, means2d: Tensor, radii: Tensor) -> Footprints:
     """Project all Gaussians, colours left out; fills `means2d` and `radii`."""
-    sizes, chunks = _memory(radii), -(-cloud.rows // CHUNK)
+    sizes, chunks = memory_of(radii), -(-cloud.rows // CHUNK)
     boxes, faults = np.empty(4 * sizes.size, np.int16), np.zeros(chunks * CHECKED, np.float32)
-    footprints = Footprints(_floats(RECORD * sizes.size), _memory(means2d), sizes, boxes, faults)
+    footprints = Footprints(_floats(RECORD * sizes.size), memory_of(means2d), sizes, boxes, faults)
     share(project_chunks, chunks, cloud, view, footprints)
     return footprints
 
@@ -138,8 +124,8 @@ def differentiate_all(
     count, chunks = cloud.rows, -(-cloud.rows // CHUNK)
     means, quats, scales, opacities, means2d = (padded(count, *columns) for columns in ((3,), (4,), (3,), (), (2,)))
     colors, poses = torch.empty(cloud.colors.size), np.zeros((chunks, POSE_SUMS), np.float32)
-    shape, paint = (_memory(means), _memory(quats), _memory(scales)), (_memory(opacities), flat(colors))
-    gradients = Gradients(*shape, *paint, _memory(means2d), poses.reshape(-1))
+    shape, paint = (memory_of(means), memory_of(quats), memory_of(scales)), (memory_of(opacities), flat(colors))
+    gradients = Gradients(*shape, *paint, memory_of(means2d), poses.reshape(-1))
     scratches = _floats(workers() * GRADIENT_SCRATCH)
     share(differentiate_chunks, chunks, scratches, cloud, view, footprints, bins, slots, gradients)
     return (means, quats, scales, opacities, colors, means2d), poses.astype(np.float64).sum(0)

@@ -103,6 +103,22 @@ def _logic(function: Any, build: Callable[[ir.IRBuilder, ir.Value, ir.Value], ir
     lower_builtin(function, flags, flags)(lower)
 
 
+def _unary(function: Any, build: Callable[[ir.IRBuilder, ir.Value], ir.Value]) -> None:
+    """Give an operator of one vector."""
+
+    class Typing(ConcreteTemplate):
+        key = function
+        cases = (signature(lanes, lanes),)
+
+    infer_global(function)(Typing)
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        return build(builder, *args)
+
+    lower_builtin(function, lanes)(lower)
+
+
+_unary(operator.neg, lambda builder, a: builder.fneg(a))
 _binary(operator.add, lanes, lambda builder, a, b: builder.fadd(a, b))
 _binary(operator.sub, lanes, lambda builder, a, b: builder.fsub(a, b))
 _binary(operator.mul, lanes, lambda builder, a, b: builder.fmul(a, b))
@@ -179,6 +195,26 @@ def _log2(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
     return call(builder, "llvm.fma.v16f32", [value, ratio, builder.sitofp(exponent, _VECTOR)])
 
 
+def _exp(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
+    """E to the x, relative error 1.2e-7; x below −87 or above 88.7 counts as these, and NaN stays NaN.
+
+    x = n ln 2 + r with |r| ≤ ½ ln 2, ln 2 in two parts, and the polynomial of the Cephes library for e to the r.
+    """
+    inside = _smaller(builder, _larger(builder, x, constant(-87.0)), constant(88.7))
+    magic = constant(12582912.0)  # as in `_exp2`
+    shifted = call(builder, "llvm.fma.v16f32", [inside, constant(1.4426950408889634), magic])
+    whole = builder.fneg(builder.fsub(shifted, magic))
+    rest = call(builder, "llvm.fma.v16f32", [whole, constant(0.693359375), inside])
+    rest = call(builder, "llvm.fma.v16f32", [whole, constant(-2.12194440e-4), rest])
+    value = constant(1.9875691500e-4)
+    for coefficient in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1, 1.0, 1.0):
+        value = call(builder, "llvm.fma.v16f32", [value, rest, constant(coefficient)])
+    exponent = builder.shl(builder.bitcast(shifted, _INTS), constant(23, _I32))
+    found = builder.bitcast(builder.add(builder.bitcast(value, _INTS), exponent), _VECTOR)
+    return builder.select(builder.fcmp_unordered("uno", x, x), x, found)
+
+
+exp = _elementwise(1, _exp)
 exp2 = _elementwise(1, _exp2)
 log2 = _elementwise(1, _log2)
 

@@ -106,3 +106,15 @@ def test_no_gaussians() -> None:
     _, _, frames = scene(torch.float32)
     placed = bind(torch.zeros(0, 3), torch.zeros(0, 4), torch.zeros(0, 3), torch.zeros(0, dtype=torch.int64), frames)
     assert placed.means.shape == (0, 3)
+
+
+def test_scales_far_out_stay_what_they_are() -> None:
+    """The compiled exponential at the ends of float32 and beyond; a NaN must reach whoever looks for it."""
+    _, _, frames = scene(torch.float32)
+    logs = torch.tensor([[-80.0, -20.0, -1e-6], [0.0, 20.0, 80.0], [float("nan"), 1e4, -1e4]])
+    quats = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(3, 4)
+    unit = TriangleFrames(frames.centers[:1], torch.eye(3)[None], torch.ones(1))
+    placed = bind(torch.zeros(3, 3), quats, logs, torch.zeros(3, dtype=torch.int64), unit)
+    expected = logs.double().exp()
+    assert torch.allclose(placed.scales[:2].double(), expected[:2], rtol=3e-7)
+    assert placed.scales[2, 0].isnan() and placed.scales[2, 1] > 1e38 and placed.scales[2, 2] < 1e-37
