@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
+from ggavatar.fast_products import product_type
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.losses import l1
 from ggavatar.perceptual import CropSampler
@@ -77,6 +78,9 @@ class Config:
     pose_on: Literal["camera", "neck"] = "camera"
     """What the head model's root joint follows: the head (the authors), or the torso, as in ggavatar (A12)."""
 
+    hidden_type: Literal["float32", "fastest"] = "float32"
+    """Hidden layers of the canonical network: float32 (code), or bfloat16 on a CPU with instructions for it (ours)."""
+
     mask_weight: float = 1.0
     """Weight of the mean absolute difference between coverage and mask (authors' code)."""
     perceptual_weight: float = 0.1
@@ -107,6 +111,7 @@ SHORT: dict[str, Any] = {
     "rate": 1e-3,
     "rate_left": 0.1,
     "pose_on": "neck",
+    "hidden_type": "fastest",
     "perceptual_mode": "crops",
     "regularised": 256,
 }
@@ -147,7 +152,8 @@ class PointAvatar(nn.Module):
         coefficients = torch.stack([expression_coefficients(drive) for drive in drives])
         self.targets = HeadTargets.of(self.head, canonical, coefficients, UNIT)
         self.cloud = PointCloud(config.points, config.sphere, config.radius_factor, config.rate, self._random(1))
-        self.surface = CanonicalNetwork(CanonicalConfig(), self._random(2))
+        hidden_type = product_type(scene.background.device) if config.hidden_type == "fastest" else None
+        self.surface = CanonicalNetwork(CanonicalConfig(), self._random(2), hidden_type)
         shapes = len(self.targets.blendshapes[0])
         self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._random(3))
         self.shading = ShadingNetwork(self._random(4))

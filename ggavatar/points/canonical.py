@@ -44,11 +44,18 @@ class CanonicalNetwork(nn.Module):
 
     The gradient of the distance is found in the same sweep, backwards through the layers and in closed form, so that
     losses on normals are differentiated once like any other.
+
+    Args:
+        config: Sizes.
+        generator: Draws the initial weights.
+        hidden_type: Of the hidden layers on a CPU; the positions' own if not given.
     """
 
-    def __init__(self, config: CanonicalConfig, generator: torch.Generator) -> None:
+    def __init__(
+        self, config: CanonicalConfig, generator: torch.Generator, hidden_type: torch.dtype | None = None
+    ) -> None:
         super().__init__()
-        self.config = config
+        self.config, self.hidden_type = config, hidden_type
         encoded = 3 + 6 * config.octaves
         widths = [encoded] + [config.width] * config.hidden
         layers = []
@@ -69,7 +76,7 @@ class CanonicalNetwork(nn.Module):
         from ggavatar.points.canonical_sweep import sweep  # imported late: it needs this module
 
         parameters = [tensor for layer in self.layers for tensor in affine(layer)]
-        values, gradient = sweep(x.detach(), self.config, parameters)
+        values, gradient = sweep(x.detach(), self.config, parameters, self.hidden_type)
         return Surface(values[:, 0], gradient, torch.sigmoid(ALBEDO_SHARPNESS * values[:, 1:]))
 
 

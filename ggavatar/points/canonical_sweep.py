@@ -1,11 +1,13 @@
 """The sweep through the canonical network, block by block in the cache, with its gradient in closed form.
 
 Same result as `canonical.sweep_in_torch`, in float32 on a CPU. Its backward visits only points whose distance,
-gradient or albedo matters to the loss: hidden points of a picture cost one forward.
+gradient or albedo matters to the loss: hidden points of a picture cost one forward. Hidden layers may be of bfloat16;
+positions, outputs and the gradients of all parameters are of float32.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -21,21 +23,24 @@ BLOCK = 512
 
 
 def sweep(
-    x: Float[Tensor, "N 3"], config: CanonicalConfig, parameters: list[Tensor]
+    x: Float[Tensor, "N 3"], config: CanonicalConfig, parameters: list[Tensor], hidden_type: torch.dtype | None = None
 ) -> tuple[Float[Tensor, "N 4"], Float[Tensor, "N 3"]]:
-    """As `sweep_in_torch`, by whatever is fastest for these tensors."""
+    """As `sweep_in_torch`, by whatever is fastest for these tensors; on a CPU with hidden layers of `hidden_type`."""
     if x.device.type != "cpu":
         return sweep_in_torch(x, config, parameters)
-    return _Sweep.apply(x, config, *parameters)
+    return _Sweep.apply(hidden_type or x.dtype, x, config, *parameters)
 
 
 class _Sweep(torch.autograd.Function):
     """(positions, parameters) → (distance and raw albedo, gradient of the distance)."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, config: CanonicalConfig, *parameters: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(
+        ctx: Any, hidden_type: torch.dtype, x: Tensor, config: CanonicalConfig, *parameters: Tensor
+    ) -> tuple[Tensor, Tensor]:
         values, gradient = x.new_empty(len(x), 4), torch.empty_like(x)
         keep = any(ctx.needs_input_grad)
+        parameters = tuple(parameter.to(hidden_type) for parameter in parameters)
         ctx.config, ctx.kept = config, []
         for start in range(0, len(x), BLOCK):
             rows = slice(start, start + BLOCK)
@@ -48,7 +53,7 @@ class _Sweep(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, to_values: Tensor, to_gradient: Tensor) -> tuple[Tensor | None, ...]:
         x, *parameters = ctx.saved_tensors
-        found = [torch.zeros_like(parameter) for parameter in parameters]
+        found = [torch.zeros_like(parameter, dtype=x.dtype) for parameter in parameters]
         matters = (to_values != 0).any(1) | (to_gradient != 0).any(1)
         for number, kept in enumerate(ctx.kept):
             start = number * BLOCK
@@ -57,7 +62,7 @@ class _Sweep(torch.autograd.Function):
                 states, pulls = ([tensor[rows] for tensor in tensors] for tensors in kept)
                 own = x[start + rows], to_values[start + rows], to_gradient[start + rows]
                 _backward_block(own, ctx.config, parameters, (states, pulls), found)
-        return None, None, *found
+        return None, None, None, *found
 
 
 Kept = tuple[list[Tensor], list[Tensor]]
@@ -68,7 +73,7 @@ def _forward_block(
 ) -> tuple[Tensor, Tensor, Kept]:
     """One block; keeps the states before and after, and the pulls on, every hidden layer."""
     weights, biases = parameters[::2], parameters[1::2]
-    encoded, slopes = encode(x, config.octaves)
+    encoded, slopes = _encode(x, config, parameters)
     state, states, derivatives, pulls = encoded, [encoded], [], []
     for index in range(config.hidden):
         if index and index == config.skip:
@@ -102,30 +107,36 @@ def _backward_block(
     """
     x, to_values, to_gradient = own
     states, pulls = kept
-    encoded, slopes = encode(x, config.octaves)
+    encoded, slopes = _encode(x, config, parameters)
     derivatives = [_derivative(states, index, config) for index in range(config.hidden)]
     weights = parameters[::2]
-    to_encoded = (to_gradient[:, None] * slopes.unflatten(1, (-1, 3))).flatten(1)
+    to_encoded = (to_gradient[:, None] * slopes.unflatten(1, (-1, 3))).flatten(1).to(encoded)
     to_pull, links = to_encoded, []
     for index in range(config.hidden):
         if index and index == config.skip:
             to_pull = torch.cat((to_pull, to_encoded), dim=1).mul_(SKIP_SCALE)
         slope = derivatives[index]
-        found[2 * index].addmm_((pulls[index] * slope).T, to_pull)
+        found[2 * index] += (pulls[index] * slope).T @ to_pull
         to_product = to_pull @ weights[index].T
         links.append((to_product * pulls[index]).mul_(slope).mul_(1 - slope).mul_(SHARPNESS))
         to_pull = to_product.mul_(slope)
     found[2 * config.hidden][0] += to_pull.sum(0)
-    to_state = to_values
+    to_state = to_values.to(encoded)
     for index in reversed(range(config.hidden + 1)):
         if index < config.hidden:
             to_state = to_state.mul_(derivatives[index]).add_(links[index])
-        found[2 * index].addmm_(to_state.T, states[index])
+        found[2 * index] += to_state.T @ states[index]
         found[2 * index + 1] += to_state.sum(0)
         if index:
             to_state = to_state @ weights[index]
             if index == config.skip:
                 to_state = to_state[:, : -encoded.shape[1]] * SKIP_SCALE
+
+
+def _encode(x: Tensor, config: CanonicalConfig, parameters: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """The encoded positions in the type of the layers, and the encoding's derivatives as they are."""
+    encoded, slopes = encode(x, config.octaves)
+    return encoded.to(parameters[0]), slopes
 
 
 def _derivative(states: list[Tensor], index: int, config: CanonicalConfig) -> Tensor:

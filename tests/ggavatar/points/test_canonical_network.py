@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import pytest
 import torch
@@ -55,6 +56,14 @@ def test_the_sweep_by_blocks_is_the_plain_one(config: CanonicalConfig, first: in
     for dtype, slack in ((torch.float64, 1e-10), (torch.float32, 2e-4)):
         for ours, theirs in zip(loss_gradients(sweep, config, dtype, first), expected, strict=True):
             assert (ours - theirs).norm() <= slack * theirs.norm()
+
+
+def test_hidden_layers_of_bfloat16_keep_two_digits() -> None:
+    expected = loss_gradients(sweep_in_torch, SMALL, torch.float64, 700)
+    fast = functools.partial(sweep, hidden_type=torch.bfloat16)
+    found = loss_gradients(fast, SMALL, torch.float32, 700)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert 1e-5 * theirs.norm() < (ours - theirs).norm() <= 0.05 * theirs.norm()
 
 
 def test_it_starts_as_a_sphere() -> None:
