@@ -15,7 +15,7 @@ from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry import TriangleFrames, look_at, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
-from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
+from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
 from ggavatar.offsets import Offsets, refine
 from ggavatar.render import cpu
 
@@ -81,7 +81,7 @@ class StepScene:
         visible = drawn.radii > 0
         colour = sum(image_terms(drawn.image, self.kept_target, 0.2))
         position = position_regulariser(self.rows["means"], visible)
-        return colour + 0.01 * position + scale_regulariser(self.rows["log_scales"].exp(), visible)
+        return colour + 0.01 * position + log_scale_regulariser(self.rows["log_scales"], visible)
 
     def step(self, adjusted: bool) -> None:
         """Forward, backward and Adam."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, cast
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -11,8 +12,18 @@ from torch.nn.functional import huber_loss, l1_loss
 
 from ggavatar.acceleration import compiled_for
 from ggavatar.dssim import DssimTarget, dssim, image_terms
+from ggavatar.padding import memory_of, padded
 
-__all__ = ["DssimTarget", "dssim", "huber", "image_terms", "l1", "position_regulariser", "scale_regulariser"]
+__all__ = [
+    "DssimTarget",
+    "dssim",
+    "huber",
+    "image_terms",
+    "l1",
+    "log_scale_regulariser",
+    "position_regulariser",
+    "scale_regulariser",
+]
 
 
 def l1(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"]) -> Float[Tensor, ""]:
@@ -41,7 +52,7 @@ def position_regulariser(
         GGAvatar Eq. 14 read as in GaussianAvatars (docs/paper.md, A15, A16): on the norm, of local positions.
     """
     if compiled_for(local_means):
-        return cast(Tensor, _CompiledRegulariser.apply(local_means, visible, threshold, "position"))
+        return cast(Tensor, _CompiledRegulariser.apply(local_means, visible, threshold, "POSITION"))
     return position_in_torch(local_means, visible, threshold)
 
 
@@ -69,8 +80,23 @@ def scale_regulariser(
         GGAvatar Eq. 15; on local scales (docs/paper.md, A16).
     """
     if compiled_for(local_scales):
-        return cast(Tensor, _CompiledRegulariser.apply(local_scales, visible, threshold, "scale"))
+        return cast(Tensor, _CompiledRegulariser.apply(local_scales, visible, threshold, "SCALE"))
     return scale_in_torch(local_scales, visible, threshold)
+
+
+def log_scale_regulariser(
+    local_log_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
+) -> Float[Tensor, ""]:
+    """`scale_regulariser` of the exponentials, in one sweep.
+
+    Args:
+        local_log_scales: Logarithms of standard deviations in units of the triangle's size.
+        visible: Gaussians that touched the image.
+        threshold: Standard deviation that costs nothing, in units of the triangle's size.
+    """
+    if compiled_for(local_log_scales):
+        return cast(Tensor, _CompiledRegulariser.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
+    return scale_in_torch(local_log_scales.exp(), visible, threshold)
 
 
 def scale_in_torch(
@@ -108,25 +134,25 @@ class _CompiledL1(torch.autograd.Function):
 
 
 class _CompiledRegulariser(torch.autograd.Function):
-    """The compiled regularisers, gradient included."""
+    """The compiled regularisers; `kind` is the name of a constant of `ggavatar.losses_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, visible: Tensor, threshold: float, kind: str) -> Tensor:
         from ggavatar import losses_kernel as kernels
 
-        gradient = torch.empty(rows.shape)
-        seen = visible.contiguous()
-        array = rows.detach().contiguous().numpy()
-        total = kernels.rows_sum(kind, array, seen.numpy(), threshold, gradient.numpy())
-        ctx.count = max(int(seen.sum()), 1)
-        ctx.save_for_backward(gradient)
+        ctx.inputs = getattr(kernels, kind), _flat(rows), _flat(visible), np.float32(threshold)
+        total, seen = kernels.regulariser_sum(*ctx.inputs)
+        ctx.count = max(seen, 1)
         return rows.new_tensor(total / ctx.count)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
-        (gradient,) = ctx.saved_tensors
-        return gradient * (upstream / ctx.count), None, None, None
+        from ggavatar import losses_kernel as kernels
+
+        gradient = padded(ctx.inputs[2].size, 3)
+        kernels.regulariser_gradient(*ctx.inputs, np.float32(upstream.item() / ctx.count), memory_of(gradient))
+        return gradient, None, None, None
 
 
-def _flat(image: Tensor) -> Any:
-    return image.detach().contiguous().view(-1).numpy()
+def _flat(tensor: Tensor) -> Any:
+    return tensor.detach().contiguous().view(-1).numpy()

@@ -26,7 +26,7 @@ from ggavatar.density import DensityControl, accumulate
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.geometry import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
-from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
+from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import HeadPoses
@@ -203,12 +203,12 @@ class GaussianAvatars(nn.Module):
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
         """The image loss and the two regularisers (Sec. 3.4); the perceptual loss where it was asked for."""
         config, rows = self.config, self.rows
-        visible, local_scales = rendering.radii > 0, rows["log_scales"].exp()
+        visible = rendering.radii > 0
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),
             "position": config.position_weight
             * position_regulariser(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),
+            "scale": config.scale_weight * log_scale_regulariser(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.perceptual_weight and step > config.perceptual_share * self.scene.steps:
             boxes = region_boxes(self.head, frame) if self.perceptual.crops else []

@@ -28,7 +28,7 @@ from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTripl
 from ggavatar.geometry import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
-from ggavatar.losses import image_terms, position_regulariser, scale_regulariser
+from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
 from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
@@ -218,12 +218,11 @@ class GGAvatar(nn.Module):
         """The weighted terms of Eq. 13–16."""
         config, rows = self.config, self.rows
         visible = rendering.radii > 0
-        local_scales = rows["log_scales"].exp()
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),  # Eq. 13
             "position": config.position_weight
             * position_regulariser(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * scale_regulariser(local_scales, visible, config.scale_threshold),
+            "scale": config.scale_weight * log_scale_regulariser(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.perceptual_weight and not self.is_neutral:
             boxes = region_boxes(self.head, frame) if self.perceptual.crops else []

@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from ggavatar.render.simd import LANES, call, lanes
+from ggavatar.render.simd import LANES, call, flags, lanes
 
 _F32, _I8, _I16, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntType(64)
 _VECTOR, _INTS = ir.VectorType(_F32, LANES), ir.VectorType(_I32, LANES)
@@ -86,6 +86,22 @@ def gather_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, 
         return value
 
     return lanes(array, *[types.int64] * 4), lower
+
+
+@intrinsic
+def gather_flags(typingctx: Any, array: Any, first: Any, last: Any) -> Any:
+    """Sixteen consecutive truth values; those beyond `last` are false."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        bits = _I16(0)
+        for lane, index in enumerate(_row_indices(builder, [args[1], args[2], _I64(1), _I64(0)])):
+            held = builder.load(_address(context, builder, sig.args[0], args[0], index))
+            there = builder.icmp_signed("<=", builder.add(args[1], _I64(lane)), args[2])
+            set_here = builder.and_(builder.icmp_unsigned("!=", held, held.type(0)), there)
+            bits = builder.or_(bits, builder.shl(builder.zext(set_here, _I16), _I16(lane)))
+        return builder.bitcast(bits, ir.VectorType(ir.IntType(1), LANES))
+
+    return flags(array, types.int64, types.int64), lower
 
 
 @intrinsic

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 
-from ggavatar.losses import huber, l1, position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
+from ggavatar.losses import (
+    huber,
+    l1,
+    log_scale_regulariser,
+    position_in_torch,
+    position_regulariser,
+    scale_in_torch,
+    scale_regulariser,
+)
 
 SEEN = torch.tensor([True, True, False])
 
@@ -28,7 +37,7 @@ def test_eq15_scale_costs_beyond_the_threshold_only() -> None:
     assert torch.allclose(scales.grad, torch.tensor([[0.3, 0.4, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
 
 
-@pytest.mark.parametrize("regulariser", [position_regulariser, scale_regulariser])
+@pytest.mark.parametrize("regulariser", [position_regulariser, scale_regulariser, log_scale_regulariser])
 def test_nothing_visible_costs_nothing_and_stays_in_the_graph(regulariser) -> None:
     values = torch.full((3, 3), 5.0, requires_grad=True)
     cost = regulariser(values, torch.zeros(3, dtype=torch.bool))
@@ -37,7 +46,7 @@ def test_nothing_visible_costs_nothing_and_stays_in_the_graph(regulariser) -> No
     assert values.grad is not None and torch.equal(values.grad, torch.zeros(3, 3))
 
 
-@pytest.mark.parametrize("regulariser", [position_regulariser, scale_regulariser])
+@pytest.mark.parametrize("regulariser", [position_regulariser, scale_regulariser, log_scale_regulariser])
 @pytest.mark.parametrize("fill", [0.0, 0.6, 1.0])
 def test_gradients_are_finite_at_zero_and_at_the_threshold(regulariser, fill: float) -> None:
     values = torch.full((3, 3), fill, requires_grad=True)
@@ -45,7 +54,7 @@ def test_gradients_are_finite_at_zero_and_at_the_threshold(regulariser, fill: fl
     assert values.grad is not None and values.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("regulariser", [position_regulariser, scale_regulariser])
+@pytest.mark.parametrize("regulariser", [position_regulariser, scale_regulariser, log_scale_regulariser])
 def test_gradcheck(regulariser) -> None:
     values = torch.tensor([[2.0, -1.0, 0.3], [0.9, 0.7, 1.4], [3.0, 3.0, 3.0]], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda rows: regulariser(rows, SEEN), values)
@@ -57,14 +66,22 @@ def test_l1_and_huber() -> None:
     assert huber(image, target).item() == pytest.approx((0.5 * 0.05**2 + 0.1 * (1 - 0.05)) / 3)
 
 
+def log_scale_in_torch(logs: Tensor, visible: Tensor, threshold: float) -> Tensor:
+    return scale_in_torch(logs.exp(), visible, threshold)
+
+
 @pytest.mark.parametrize(
     ("compiled", "twin", "threshold"),
-    [(position_regulariser, position_in_torch, 1.0), (scale_regulariser, scale_in_torch, 0.6)],
+    [
+        (position_regulariser, position_in_torch, 1.0),
+        (scale_regulariser, scale_in_torch, 0.6),
+        (log_scale_regulariser, log_scale_in_torch, 0.6),
+    ],
 )
 def test_compiled_regularisers_equal_float64_autograd(compiled, twin, threshold: float) -> None:
     generator = torch.Generator().manual_seed(1)
-    rows = torch.randn(20_000, 3, generator=generator).requires_grad_()
-    visible = torch.rand(20_000, generator=generator) < 0.7
+    rows = torch.randn(20_003, 3, generator=generator).requires_grad_()
+    visible = torch.rand(20_003, generator=generator) < 0.7
     wide = rows.detach().double().requires_grad_()
     ours, expected = compiled(rows, visible, threshold), twin(wide, visible, threshold)
     (3 * ours).backward()
