@@ -21,10 +21,12 @@ TEMPERATURE = 20.0
 
 
 class Features(NamedTuple):
-    """Last hidden layer at points, and its derivative along x, y and z."""
+    """What no drive changes: last hidden layer and weights of the joints, with their derivatives along x, y and z."""
 
     values: Float[Tensor, "N H"]
     tangents: Float[Tensor, "N 3 H"]
+    weights: Float[Tensor, "N J"]
+    weight_tangents: Float[Tensor, "N 3 J"]
 
 
 class Motion(NamedTuple):
@@ -71,14 +73,14 @@ class PointDeformer(nn.Module):
         self.skinning_bias = nn.Parameter(torch.zeros(joints))
 
     def features(self, x: Float[Tensor, "N 3"]) -> Features:
-        """The last hidden layer at canonical points."""
+        """The last hidden layer and the joints' weights at canonical points."""
         first, *others = self.trunk
         weight, bias = affine(first)
         values, slope = softplus(torch.addmm(bias, x, weight.T))
         tangents = slope[:, None] * weight.T
         for layer in others:
             values, tangents = _through(layer, values, tangents)
-        return Features(values, tangents)
+        return Features(values, tangents, *self._skinning(values, tangents))
 
     def motion(self, features: Features, coefficients: Float[Tensor, " B"]) -> Motion:
         """The motion for blendshape coefficients, which are contracted with the basis before any point sees it."""
@@ -86,13 +88,8 @@ class PointDeformer(nn.Module):
         biases = torch.stack((coefficients @ self.shape_bias[:-1], self.shape_bias[-1]))
         shapes = torch.addmm(biases.flatten(), features.values, sums.flatten(0, 1).T)
         shape_tangents = features.tangents @ sums.flatten(0, 1).T
-        values, tangents = _through(self.skinning_layer, features.values, features.tangents)
-        weights = self._weights(values)
-        slopes = TEMPERATURE * (tangents @ self.skinning_weight.T)
-        weight_tangents = weights[:, None] * (slopes - (slopes * weights[:, None]).sum(-1, keepdim=True))
-        return Motion(
-            shapes[:, 3:], shape_tangents[..., 3:], shapes[:, :3], shape_tangents[..., :3], weights, weight_tangents
-        )  # fmt: skip
+        offsets, correctives = (shapes[:, 3:], shape_tangents[..., 3:]), (shapes[:, :3], shape_tangents[..., :3])
+        return Motion(*offsets, *correctives, features.weights, features.weight_tangents)
 
     def bases(self, x: Float[Tensor, "N 3"]) -> Bases:
         """Blendshapes, weights and offsets themselves, at a few points."""
@@ -101,6 +98,13 @@ class PointDeformer(nn.Module):
             values = softplus(layer(values))[0]
         shapes = torch.einsum("nh,bch->nbc", values, self.shape_weight) + self.shape_bias
         return Bases(shapes[:, :-1], self._weights(softplus(self.skinning_layer(values))[0]), shapes[:, -1])
+
+    def _skinning(self, values: Tensor, tangents: Tensor) -> tuple[Tensor, Tensor]:
+        """Weights of the joints, and their derivatives along x, y and z."""
+        values, tangents = _through(self.skinning_layer, values, tangents)
+        weights = self._weights(values)
+        slopes = TEMPERATURE * (tangents @ self.skinning_weight.T)
+        return weights, weights[:, None] * (slopes - (slopes * weights[:, None]).sum(-1, keepdim=True))
 
     def _weights(self, values: Tensor) -> Tensor:
         return torch.softmax(TEMPERATURE * torch.addmm(self.skinning_bias, values, self.skinning_weight.T), dim=-1)
