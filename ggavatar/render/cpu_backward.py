@@ -67,9 +67,9 @@ def differentiate_tiles(tickets, scratches, bins, records, view, canvas, incomin
 
 
 @inlined
-def differentiate_tile(scratch, bins, records, view, canvas, incoming, target):
+def differentiate_tile(scratch, bins, records, view, canvas, incoming, slots_tile):
     """Fill the slots of one tile."""
-    slots, tile = target
+    slots, tile = slots_tile
     tiles_x = np.int64(view[25])
     left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
     start, end, stop = np.int64(bins.starts[tile]), np.int64(canvas.ends[tile]), np.int64(bins.starts[tile + 1])
@@ -78,10 +78,14 @@ def differentiate_tile(scratch, bins, records, view, canvas, incoming, target):
         if place + AHEAD < end:
             prefetch(records, np.int64(bins.entries[2 * (place + AHEAD)]) * RECORD)
         hits = np.int64(canvas.hits[place])
+        target = np.int64(bins.entries[2 * place + 1]) * SUMS
+        if hits == 0:
+            store_first_12(slots, target, splat(np.float32(0)))
+            continue
         source = np.int64(bins.entries[2 * place]) * RECORD
         record = pointer(records, source)
         sums = entry_sums(scratch, record, hits, np.float32(left), np.float32(top))
-        store_first_12(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, sums)
+        store_first_12(slots, target, sums)
     for place in range(end, stop):
         store_first_12(slots, np.int64(bins.entries[2 * place + 1]) * SUMS, splat(np.float32(0)))
 
