@@ -22,7 +22,7 @@ from evaluate.orbit import head_center, sweep, turned
 from evaluate.protocol import GIVEN, Protocol
 from evaluate.reenact import Transfer, neutral_row, transferred
 from evaluate.reenactment_figure import reenactment, telling_rows
-from evaluate.render_views import FRAMES, VIDEO, Output, View, claim, read_note, render_views
+from evaluate.render_views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
 from evaluate.sources import open_file, refuse_file_flags
 from evaluate.video import playback_fps
 from ggavatar.capture import Capture
@@ -71,8 +71,9 @@ def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]
     output = Output(folder, background, fps, options.alpha)
     claim(output, _content(options, run), options.overwrite, options.resume)
     render_views(run.avatar, run.rasterize, views, output, progress)
-    written = [folder / FRAMES, folder / VIDEO if options.video else None, shot.figure(output)]
-    return [path for path in written if path is not None]
+    wanted = {FRAMES: True, CUTOUTS: options.alpha, VIDEO: options.video}
+    figure = shot.figure(output)
+    return [folder / name for name, is_there in wanted.items() if is_there] + ([figure] if figure else [])
 
 
 def _open(options: Options, device: str) -> Run | LoneFile:

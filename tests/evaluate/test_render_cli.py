@@ -52,7 +52,8 @@ def test_test_frames_as_pictures_video_and_alpha(
     again = cutout[..., 2::-1] * alpha + 255 * (1 - alpha)
     assert alpha.max() > 0.5 and np.abs(again - read_rgb(folder / "frames" / "000010.png")).max() <= 2
     shown = capsys.readouterr()
-    assert str(folder / "render.mp4") in shown.out and "rendered 2 of 2" in shown.err
+    written = [str(folder / name) for name in ("frames", "rgba", "render.mp4")]
+    assert shown.out.splitlines() == written and "rendered 2 of 2" in shown.err
 
 
 def test_orbit_and_its_figure(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
