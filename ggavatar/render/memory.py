@@ -242,24 +242,6 @@ load_columns_3 = _columns(3)
 load_columns_4 = _columns(4)
 
 
-@intrinsic
-def every_third(typingctx: Any, before: Any, here: Any, after: Any) -> Any:
-    """Of 48 numbers in three vectors: the middle sixteen moved by −15, −12, … 15 places, as eleven vectors.
-
-    Shuffles of what is loaded once cost less than eleven loads across cache lines.
-    """
-
-    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        values = []
-        for shift in range(1, 3 * 11, 3):
-            pair = args[:2] if shift <= LANES else args[1:]
-            start = shift if shift <= LANES else shift - LANES
-            values.append(builder.shuffle_vector(*pair, ir.Constant(_INTS, list(range(start, start + LANES)))))
-        return context.make_tuple(builder, sig.return_type, values)
-
-    return types.UniTuple(lanes, 11)(lanes, lanes, lanes), lower
-
-
 def _interleave(builder: ir.IRBuilder, values: list[ir.Value], scalar: ir.Type) -> ir.Value:
     """One vector with the lanes of all values in turn: a0 b0 c0, a1 b1 c1 and so on."""
     count = len(values)
