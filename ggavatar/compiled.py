@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +118,8 @@ def run(task: Callable[[int], None], count: int) -> None:
     finally:
         # One that has not begun (its thread is busy for another caller) is not waited for: the work is done without it.
         begun = [helper for helper in helpers if not helper.cancel()]
-        wait(begun)
+        for helper in begun:
+            helper.exception()  # waits, as `wait` would, without an event of its own
     for helper in begun:
         helper.result()
 

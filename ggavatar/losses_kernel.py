@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from ggavatar.compiled import inlined, kernel, run
 from ggavatar.render.cpu_shapes import columns_3, dot
-from ggavatar.render.memory import gather_flags, pointer, store_columns
+from ggavatar.render.memory import gather_flags, load_flags, pointer, store_columns
 from ggavatar.render.simd import LANES, exp, maximum, select, splat, sqrt, total
 
 CHUNK = 1 << 16
@@ -52,9 +52,15 @@ def excess(kind, rows, visible, threshold, first, last):
         x, y, z = maximum(x - threshold, zero), maximum(y - threshold, zero), maximum(z - threshold, zero)
     free = threshold if kind == POSITION else zero
     length = sqrt(dot((x, y, z), (x, y, z)))
-    costs = gather_flags(visible, first, last) & (length > free)
+    costs = seen_among(visible, first, last) & (length > free)
     factor = select(costs, one / length, zero)
     return select(costs, length - free, zero), factor, (x * slope[0], y * slope[1], z * slope[2])
+
+
+@inlined
+def seen_among(visible, first, last):
+    """Which of sixteen rows are visible; none beyond `last` is."""
+    return load_flags(visible, first) if first + LANES <= last + 1 else gather_flags(visible, first, last)
 
 
 @kernel

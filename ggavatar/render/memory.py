@@ -89,6 +89,18 @@ def gather_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, 
 
 
 @intrinsic
+def load_flags(typingctx: Any, array: Any, index: Any) -> Any:
+    """Sixteen consecutive truth values."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        kind = ir.VectorType(_I8, LANES)
+        place = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.icmp_unsigned("!=", builder.load(_vector_at(builder, place, kind), align=1), kind([0] * LANES))
+
+    return flags(array, types.int64), lower
+
+
+@intrinsic
 def gather_flags(typingctx: Any, array: Any, first: Any, last: Any) -> Any:
     """Sixteen consecutive truth values; those beyond `last` are false."""
 
