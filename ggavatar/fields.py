@@ -132,10 +132,9 @@ class HashTriplane(nn.Module):
 
     def forward(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
         """Features at `x` (m), plane by plane, level by level; differentiable in the tables only."""
-        unit = self.box.normalise(x.detach())
         if self.compiled_at(x):
-            return cast(Tensor, _CompiledLookup.apply(unit, self.tables, self.levels))
-        return lookup_in_torch(unit, self.tables, self.levels)
+            return cast(Tensor, _CompiledLookup.apply(kernel_points(self.box, x), self.tables, self.levels))
+        return lookup_in_torch(self.box.normalise(x.detach()), self.tables, self.levels)
 
     def compiled_at(self, x: Float[Tensor, "N 3"]) -> bool:
         """Whether the compiled kernels take these positions."""
@@ -172,11 +171,11 @@ class _CompiledLookup(torch.autograd.Function):
     """The compiled kernels of `ggavatar.triplane`."""
 
     @staticmethod
-    def forward(ctx: Any, unit: Tensor, tables: Tensor, levels: tuple[Level, ...]) -> Tensor:
+    def forward(ctx: Any, points: Float32[ndarray, "3 N"], tables: Tensor, levels: tuple[Level, ...]) -> Tensor:
         from ggavatar import triplane
 
-        ctx.points, ctx.layout, ctx.shape = kernel_points(unit), kernel_layout(levels), tables.shape
-        features = torch.empty(len(unit), len(PLANES) * len(levels) * triplane.FEATURES)
+        ctx.points, ctx.layout, ctx.shape = points, kernel_layout(levels), tables.shape
+        features = torch.empty(points.shape[1], len(PLANES) * len(levels) * triplane.FEATURES)
         triplane.look_up(ctx.points, tables.detach().contiguous().numpy(), ctx.layout, features.numpy())
         return features
 
@@ -189,9 +188,13 @@ class _CompiledLookup(torch.autograd.Function):
         return None, gradient, None
 
 
-def kernel_points(unit: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:
-    """Positions [3, N] as the kernels want them; one that is not a number must not become an index."""
-    return torch.nan_to_num(unit.T).contiguous().numpy()
+def kernel_points(box: Box, x: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:
+    """`box.normalise(x)` as the kernels want it; a position that is not a number must not become an index."""
+    from ggavatar import triplane
+
+    points = np.empty((3, len(x)), np.float32)
+    triplane.normalise(x.detach().contiguous().numpy(), np.array(box.center, np.float32), np.float32(box.side), points)
+    return points
 
 
 @functools.cache

@@ -30,8 +30,8 @@ def field_perceptron(
 ) -> Float[Tensor, "N R"]:
     """`perceptron` of a field's features at `x` (m); rows without gradient cost nothing on the way back."""
     if isinstance(field, HashTriplane) and field.compiled_at(x) and compiled_for(*first, *second, *last):
-        unit = field.box.normalise(x.detach())
-        return cast(Tensor, _FieldPerceptron.apply(unit, field.tables, field.levels, *first, *second, *last))
+        points = kernel_points(field.box, x)
+        return cast(Tensor, _FieldPerceptron.apply(points, field.tables, field.levels, *first, *second, *last))
     return perceptron(field(x), first, second, last)
 
 
@@ -59,11 +59,11 @@ class _FieldPerceptron(torch.autograd.Function):
     """The same behind `ggavatar.triplane`; both leave out the rows without gradient on the way back."""
 
     @staticmethod
-    def forward(ctx: Any, unit: Tensor, tables: Tensor, levels: tuple[Any, ...], *parameters: Tensor) -> Tensor:
+    def forward(ctx: Any, points: Any, tables: Tensor, levels: tuple[Any, ...], *parameters: Tensor) -> Tensor:
         from ggavatar import triplane
 
-        ctx.points, ctx.layout, ctx.shape = kernel_points(unit), kernel_layout(levels), tables.shape
-        features = torch.empty(len(unit), len(ctx.layout.scale) * triplane.FEATURES)
+        ctx.points, ctx.layout, ctx.shape = points, kernel_layout(levels), tables.shape
+        features = torch.empty(points.shape[1], len(ctx.layout.scale) * triplane.FEATURES)
         triplane.look_up(ctx.points, tables.detach().numpy(), ctx.layout, features.numpy())
         return _forward(ctx, features, parameters)
 
@@ -73,7 +73,7 @@ class _FieldPerceptron(torch.autograd.Function):
 
         rows, to_features, to_parameters = _backward(ctx, upstream)
         to_tables = torch.zeros(ctx.shape)
-        triplane.spread(np.ascontiguousarray(ctx.points[:, rows]), to_features, ctx.layout, to_tables.numpy())
+        triplane.spread(np.take(ctx.points, rows, axis=1), to_features, ctx.layout, to_tables.numpy())
         return None, to_tables, None, *to_parameters
 
 

@@ -227,10 +227,9 @@ def backward(matrices: tuple[Floats, Floats, Floats, Floats], layers: Layers) ->
     active = rows_with_gradient(matrices[3], layers[2].outputs)
     to_features = np.empty(len(active) * width, np.float32)
     chunks = [slice(first, min(first + CHUNK, len(active))) for first in range(0, len(active), CHUNK)]
-    sums = [
-        Sums(*(np.zeros(part.size, np.float32) for layer in layers for part in (layer.weight, layer.bias)))
-        for _ in chunks
-    ]
+    bounds = _bounds(layers)
+    every = np.zeros((len(chunks), bounds[-1].stop), np.float32)
+    sums = [Sums(*(row[part] for part in bounds)) for row in every]
 
     def task(index: int) -> None:
         part = chunks[index]
@@ -238,17 +237,22 @@ def backward(matrices: tuple[Floats, Floats, Floats, Floats], layers: Layers) ->
         backward_range(matrices, layers, active[part], sums[index], to_rows)
 
     run(task, len(chunks))
-    return Gradients(active, to_features.reshape(-1, width), _added(sums, layers))
+    total = every.sum(0)  # row after row
+    return Gradients(active, to_features.reshape(-1, width), _unpadded(Sums(*(total[part] for part in bounds)), layers))
 
 
-def _added(sums: list[Sums], layers: Layers) -> list[tuple[Floats, Floats]]:
-    """The chunks' gradients added in order, without padding."""
-    total = [np.sum([chunk[part] for chunk in sums], axis=0, dtype=np.float32, initial=0) for part in range(6)]
+def _bounds(layers: Layers) -> list[slice]:
+    """Where the padded weights and biases of all layers lie when they follow one another."""
+    ends = np.cumsum([part.size for layer in layers for part in (layer.weight, layer.bias)]).tolist()
+    return [slice(first, last) for first, last in zip([0, *ends], ends, strict=False)]
+
+
+def _unpadded(total: Sums, layers: Layers) -> list[tuple[Floats, Floats]]:
+    """The gradient of every layer's weight and bias, without padding."""
     found = []
     for number, layer in enumerate(layers):
-        weight = np.broadcast_to(total[2 * number], layer.weight.size).reshape(layer.bias.size, -1)
-        bias = np.broadcast_to(total[2 * number + 1], layer.bias.size)
-        found.append((weight[: layer.outputs, : layer.inputs], bias[: layer.outputs]))
+        weight = total[2 * number].reshape(layer.bias.size, -1)
+        found.append((weight[: layer.outputs, : layer.inputs], total[2 * number + 1][: layer.outputs]))
     return found
 
 

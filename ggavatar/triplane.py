@@ -38,6 +38,18 @@ class Layout(NamedTuple):
     first: UInt32[ndarray, " K"]
 
 
+@kernel
+def normalise(x, center, side, points):
+    """Positions [N, 3] relative to a cube, in [0, 1], as rows of `points` [3, N]; what is not a number becomes 0."""
+    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
+    for axis in range(3):
+        middle = center[axis]
+        for n in range(np.uint64(x.shape[0])):
+            place = (x[n, axis] - middle) / side + half
+            place = place if place > zero else zero
+            points[axis, n] = place if place < one else one
+
+
 @inlined
 def _locate(across, down, scale, side, mask, first, entries, weights):
     """Entries and bilinear weights of the four grid vertices around points in [0, 1]²; `mask` is 0 for dense tables."""
