@@ -15,6 +15,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.deform import linear
+from ggavatar.fast_products import in_whole_groups
+
+GROUP = 1024
+"""Rows of the backward pass come in multiples of this."""
 
 
 class ConditionedPerceptron(nn.Module):
@@ -75,7 +79,7 @@ class _Rows(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         half = len(ctx.saved_tensors) // 2
         kept, weights = ctx.saved_tensors[:half], ctx.saved_tensors[half:]
-        active = upstream.any(-1).nonzero().squeeze(-1)
+        active = in_whole_groups(upstream.any(-1), GROUP)
         gradient, found = upstream[active], []
         for number in reversed(range(half)):
             inputs = kept[number][active]

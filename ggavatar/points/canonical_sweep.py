@@ -15,11 +15,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from ggavatar.fast_products import in_whole_groups
 from ggavatar.points.canonical import SKIP_SCALE, CanonicalConfig, sweep_in_torch
 from ggavatar.points.layers import SHARPNESS, encode, softplus
 
 BLOCK = 512
 """Points at a time: activations of a layer then take half a megabyte."""
+GROUP = 128
+"""Points of a block's backward come in multiples of this."""
 
 
 def sweep(
@@ -57,7 +60,7 @@ class _Sweep(torch.autograd.Function):
         matters = (to_values != 0).any(1) | (to_gradient != 0).any(1)
         for number, kept in enumerate(ctx.kept):
             start = number * BLOCK
-            rows = torch.nonzero(matters[start : start + BLOCK])[:, 0]
+            rows = in_whole_groups(matters[start : start + BLOCK], GROUP)
             if len(rows):
                 states, pulls = ([tensor[rows] for tensor in tensors] for tensors in kept)
                 own = x[start + rows], to_values[start + rows], to_gradient[start + rows]
