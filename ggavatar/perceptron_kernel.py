@@ -14,7 +14,7 @@ from jaxtyping import Float32, Int64
 from numpy import ndarray
 
 from ggavatar.compiled import inlined, kernel, run
-from ggavatar.render.memory import load, store
+from ggavatar.render.memory import load, store, stream
 from ggavatar.render.simd import LANES, maximum, select, splat
 from ggavatar.tiles import add_product
 
@@ -93,6 +93,17 @@ def _put(block, rows, count, width, matrix):
         _copy(block, slot * columns, width, matrix, rows[slot] * width)
 
 
+@kernel
+def _keep(block, first, count, width, matrix):
+    """Rows of a block into consecutive rows of a matrix that nobody reads soon, past the caches if they fill lines."""
+    columns = block.size // BLOCK
+    if width == columns:
+        for at in range(0, count * width, LANES):
+            stream(matrix, first * width + at, load(block, at))
+    else:
+        _put(block, np.arange(first, first + count), count, width, matrix)
+
+
 @inlined
 def _block(layer):
     return np.empty(BLOCK * layer.bias.size, np.float32)
@@ -114,8 +125,8 @@ def forward_range(features, layers, first, last, kept, result):
         _rectify(hidden_2)
         _apply(hidden_2, end, out)
         if kept[0].size:
-            _put(hidden_1, rows, count, one.outputs, kept[0])
-            _put(hidden_2, rows, count, two.outputs, kept[1])
+            _keep(hidden_1, begin, count, one.outputs, kept[0])
+            _keep(hidden_2, begin, count, two.outputs, kept[1])
         _put(out, rows, count, end.outputs, result)
 
 
@@ -197,7 +208,10 @@ Layers = tuple[Layer, Layer, Layer]
 
 
 def forward(features: Floats, layers: Layers, kept: tuple[Floats, Floats], result: Floats) -> None:
-    """Fill in the result of all rows, and both hidden layers if `kept` has room for them; all flat."""
+    """Fill in the result of all rows, and both hidden layers if `kept` has room for them; all flat.
+
+    Memory in `kept` begins on a cache line, as torch's does.
+    """
     count = features.size // layers[0].inputs
     starts = range(0, count, CHUNK)
 

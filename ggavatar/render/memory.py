@@ -62,6 +62,19 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic
+def stream(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+    """As `store`, past the caches, to the beginning of a cache line: saves reading what is replaced."""
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        kept = builder.store(args[2], _vector_at(builder, pointer, _VECTOR), align=64)
+        kept.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, lanes), lower
+
+
+@intrinsic
 def store_first_12(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     """Write the first twelve lanes to consecutive elements."""
 
