@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from ggavatar.acceleration import compiled_for
 from ggavatar.geometry import quaternion_multiply
+from ggavatar.padding import memory_of, padded
 
 COLOUR = 10
 """Column of the first colour row, if there are any."""
@@ -108,20 +109,20 @@ class _CompiledRefine(torch.autograd.Function):
         *placed, rows, ctx.unit = inputs
         ctx.placed = kernels.Geometry(*(_array(value) for value in placed))
         ctx.rows = _array(rows)
-        refined = tuple(torch.empty(value.shape) for value in placed)
-        kernels.refine(ctx.placed, ctx.rows, ctx.unit, kernels.Geometry(*(value.numpy() for value in refined)))
+        refined = tuple(padded(*value.shape) for value in placed)
+        kernels.refine(ctx.placed, ctx.rows, ctx.unit, kernels.Geometry(*(memory_of(value) for value in refined)))
         return refined
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         from ggavatar import refine_kernel as kernels
 
-        gradients = tuple(torch.empty(value.shape) for value in upstream)
+        _, quats, scales = (padded(*value.shape) for value in upstream)
         to_rows = torch.zeros(ctx.rows.shape)
         wanted = kernels.Geometry(*(_array(value) for value in upstream))
-        found = kernels.Geometry(*(value.numpy() for value in gradients))
+        found = kernels.Geometry(wanted.means, memory_of(quats), memory_of(scales))
         kernels.give_back(ctx.placed, ctx.rows, ctx.unit, wanted, found, to_rows.numpy())
-        return *gradients, to_rows, None
+        return upstream[0], quats, scales, to_rows, None
 
 
 def _array(tensor: Tensor) -> Any:

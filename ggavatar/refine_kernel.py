@@ -1,62 +1,111 @@
-"""The refined ⊕ of Eq. 12 and its gradient (compiled; twin: `deform.refine_in_torch`)."""
+"""The refined ⊕ of Eq. 12 and its gradient, sixteen Gaussians at a time (compiled; twin: `offsets.refine_in_torch`)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ggavatar.binding_kernel import CHUNK, Floats, Geometry
-from ggavatar.compiled import kernel, run
-from ggavatar.quaternions import conjugate, inverse_length, product, put, row, scaled, through_normalisation
+from ggavatar.binding_kernel import CHUNK, Floats, Geometry, bare, one_over_length
+from ggavatar.compiled import inlined, kernel, share
+from ggavatar.quaternions import conjugate, product, scaled, through_normalisation
+from ggavatar.render.cpu_shapes import columns_3, columns_4
+from ggavatar.render.memory import (
+    gather_rows,
+    load_rows,
+    pointer,
+    store_columns,
+    store_rows_10,
+    take_ticket,
+    transpose,
+)
+from ggavatar.render.simd import LANES, exp, fma, splat
 
 
 @kernel
-def refine_range(placed, offsets, unit, first, last, refined):
-    """Gaussians `first` … `last` − 1: means + unit·Δμ, (1, 0, 0, 0) + Δr as a turn on the left, scales · exp(Δs)."""
-    one = np.float32(1)
-    for n in range(np.uint64(first), np.uint64(last)):
-        for axis in range(np.uint64(3)):
-            refined.means[n, axis] = placed.means[n, axis] + unit * offsets[n, axis]
-            refined.scales[n, axis] = placed.scales[n, axis] * np.exp(offsets[n, axis + np.uint64(7)])
-        turn = (one + offsets[n, 3], offsets[n, 4], offsets[n, 5], offsets[n, 6])
-        put(refined.quats, n, product(scaled(turn, inverse_length(turn)), row(placed.quats, n)))
+def refine_chunks(tickets, placed, offsets, unit, refined):
+    """Refine chunks of Gaussians until none is left."""
+    count, width = offsets.shape
+    placed, offsets, refined = bare(placed), pointer(offsets, 0), bare(refined)
+    first = take_ticket(tickets, 0) * CHUNK
+    while first < count:
+        for begin in range(first, min(first + CHUNK, count), LANES):
+            found = columns_10(offsets, begin, count - 1, width)
+            refine_group(placed, found, unit, begin, count - 1, refined)
+        first = take_ticket(tickets, 0) * CHUNK
+
+
+@inlined
+def refine_group(placed, offsets, unit, first, last, refined):
+    """Means + unit·Δμ, (1, 0, 0, 0) + Δr as a turn on the left, scales · exp(Δs)."""
+    m, s = columns_3(placed.means, first, last), columns_3(placed.scales, first, last)
+    means = fma(offsets[0], unit, m[0]), fma(offsets[1], unit, m[1]), fma(offsets[2], unit, m[2])
+    store_columns(refined.means, first * 3, means)
+    scales = s[0] * exp(offsets[7]), s[1] * exp(offsets[8]), s[2] * exp(offsets[9])
+    store_columns(refined.scales, first * 3, scales)
+    turn = (offsets[3] + np.float32(1), offsets[4], offsets[5], offsets[6])
+    rotation = scaled(turn, one_over_length(turn))
+    store_columns(refined.quats, first * 4, product(rotation, columns_4(placed.quats, first, last)))
 
 
 @kernel
-def return_range(placed, offsets, unit, first, last, upstream, gradient, to_offsets):
-    """Gradients by the placed geometry and by the offsets (whose further columns are left alone)."""
-    one = np.float32(1)
-    for n in range(np.uint64(first), np.uint64(last)):
-        for axis in range(np.uint64(3)):
-            g, growth = upstream.scales[n, axis], np.exp(offsets[n, axis + np.uint64(7)])
-            gradient.means[n, axis] = upstream.means[n, axis]
-            gradient.scales[n, axis] = g * growth
-            to_offsets[n, axis] = unit * upstream.means[n, axis]
-            to_offsets[n, axis + np.uint64(7)] = g * growth * placed.scales[n, axis]
-        turn = (one + offsets[n, 3], offsets[n, 4], offsets[n, 5], offsets[n, 6])
-        inverse = inverse_length(turn)
-        rotation, g4 = scaled(turn, inverse), row(upstream.quats, n)
-        put(gradient.quats, n, product(conjugate(rotation), g4))
-        to_rotation = product(g4, conjugate(row(placed.quats, n)))
-        to_turn = through_normalisation(to_rotation, rotation, inverse)
-        to_offsets[n, 3], to_offsets[n, 4], to_offsets[n, 5], to_offsets[n, 6] = to_turn
+def return_chunks(tickets, placed, offsets, unit, upstream, gradient, to_offsets):
+    """Gradients by the placed quaternions and scales and by the offsets, of chunks until none is left.
+
+    That by the placed means is the upstream one. Further columns of the offsets are left alone.
+    """
+    count, width = offsets.shape
+    placed, offsets, upstream = bare(placed), pointer(offsets, 0), bare(upstream)
+    gradient, to_offsets = bare(gradient), pointer(to_offsets, 0)
+    first = take_ticket(tickets, 0) * CHUNK
+    while first < count:
+        for begin in range(first, min(first + CHUNK, count), LANES):
+            rows, found = (begin, count - 1), columns_10(offsets, begin, count - 1, width)
+            columns = return_group(placed, found, unit, rows, upstream, gradient)
+            store_rows_10(to_offsets, begin, count - 1, width, 0, transpose(columns))
+        first = take_ticket(tickets, 0) * CHUNK
+
+
+@inlined
+def return_group(placed, offsets, unit, rows, upstream, gradient):
+    """Gradients by the placed quaternions and scales are written, those by the ten offsets returned, then zeros."""
+    (first, last), zero = rows, splat(np.float32(0))
+    m, g = columns_3(upstream.means, first, last), columns_3(upstream.scales, first, last)
+    s = columns_3(placed.scales, first, last)
+    grown = g[0] * exp(offsets[7]), g[1] * exp(offsets[8]), g[2] * exp(offsets[9])
+    store_columns(gradient.scales, first * 3, grown)
+    turn = (offsets[3] + np.float32(1), offsets[4], offsets[5], offsets[6])
+    inverse, g4 = one_over_length(turn), columns_4(upstream.quats, first, last)
+    rotation = scaled(turn, inverse)
+    store_columns(gradient.quats, first * 4, product(conjugate(rotation), g4))
+    to_rotation = product(g4, conjugate(columns_4(placed.quats, first, last)))
+    to_turn = through_normalisation(to_rotation, rotation, inverse)
+    return (
+        m[0] * unit, m[1] * unit, m[2] * unit,
+        to_turn[0], to_turn[1], to_turn[2], to_turn[3],
+        grown[0] * s[0], grown[1] * s[1], grown[2] * s[2],
+        zero, zero, zero, zero, zero, zero,
+    )  # fmt: skip
+
+
+@inlined
+def columns_10(array, first, last, width):
+    """The first ten columns of sixteen rows; rows beyond `last` repeat it."""
+    if first + LANES <= last:  # a row more, so that sixteen numbers can be read of each
+        return transpose(load_rows(array, first, last, width, 0))[0:10]
+    a, b = gather_rows(array, first, last, width, 0), gather_rows(array, first, last, width, 1)
+    c, d = gather_rows(array, first, last, width, 2), gather_rows(array, first, last, width, 3)
+    e, f = gather_rows(array, first, last, width, 4), gather_rows(array, first, last, width, 5)
+    g, h = gather_rows(array, first, last, width, 6), gather_rows(array, first, last, width, 7)
+    return a, b, c, d, e, f, g, h, gather_rows(array, first, last, width, 8), gather_rows(array, first, last, width, 9)
 
 
 def refine(placed: Geometry, offsets: Floats, unit: float, refined: Geometry) -> None:
-    """Fill in the refined geometry of all Gaussians."""
-    count, factor = len(offsets), np.float32(unit)
-    starts = range(0, count, CHUNK)
-    run(lambda k: refine_range(placed, offsets, factor, starts[k], min(starts[k] + CHUNK, count), refined), len(starts))
+    """Fill in the refined geometry of all Gaussians; its memory is for a multiple of sixteen rows."""
+    share(refine_chunks, -(-len(offsets) // CHUNK), placed, offsets, np.float32(unit), refined)
 
 
 def give_back(
     placed: Geometry, offsets: Floats, unit: float, upstream: Geometry, gradient: Geometry, to_offsets: Floats
 ) -> None:
-    """Fill in the gradients of all Gaussians."""
-    count, factor = len(offsets), np.float32(unit)
-    starts = range(0, count, CHUNK)
-
-    def task(k: int) -> None:
-        last = min(starts[k] + CHUNK, count)
-        return_range(placed, offsets, factor, starts[k], last, upstream, gradient, to_offsets)
-
-    run(task, len(starts))
+    """Fill in the gradients of all Gaussians, `gradient.means` excepted; its memory as that of `refine`."""
+    pieces = -(-len(offsets) // CHUNK)
+    share(return_chunks, pieces, placed, offsets, np.float32(unit), upstream, gradient, to_offsets)

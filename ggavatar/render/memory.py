@@ -326,17 +326,26 @@ def load_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, co
     return types.UniTuple(lanes, LANES)(array, *[types.int64] * 4), lower
 
 
-@intrinsic
-def store_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any, rows: Any) -> Any:
-    """Write sixteen vectors to rows first … first + 15 from `column` on; rows beyond `last` are dropped."""
+def _row_writer(count: int) -> Any:
+    """An intrinsic that writes sixteen vectors, the first `count` lanes each."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
+        kept = ir.Constant(ir.VectorType(_I32, count), list(range(count)))
         for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
+            value = builder.extract_value(args[5], lane)
+            part = builder.shuffle_vector(value, value, kept)
             pointer = _address(context, builder, sig.args[0], args[0], index)
-            builder.store(builder.extract_value(args[5], lane), _vector_at(builder, pointer, _VECTOR), align=4)
+            builder.store(part, _vector_at(builder, pointer, part.type), align=4)
         return context.get_dummy_value()
 
-    return types.void(array, *[types.int64] * 4, rows), lower
+    def typed(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any, rows: Any) -> Any:
+        return types.void(array, *[types.int64] * 4, rows), lower
+
+    return intrinsic(typed)
+
+
+# Write to rows first … first + 15 from `column` on; rows beyond `last` are dropped.
+store_rows, store_rows_10 = _row_writer(LANES), _row_writer(10)
 
 
 @intrinsic
