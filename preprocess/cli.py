@@ -6,6 +6,7 @@ Nothing heavy is imported before the arguments are understood.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,6 +51,8 @@ def _description() -> str:
 
 def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and say what was written."""
+    # The fit's matrices are small, and our own threads keep the cores busy: OpenBLAS's would only be in the way.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from preprocess.pipeline import run_pipeline
     from preprocess.terminal import Terminal
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.pictures import write_png
 from preprocess.crop import Crop, explicit, square, square_around, whole_frame
-from preprocess.frames import open_source
+from preprocess.frames import DecodedFrame, open_source
 from preprocess.importing import SWAPPED_SIZE, read_foreign
+from preprocess.in_order import in_order
 from preprocess.options import PrepOptions
 from preprocess.read_stage import selection_of
 from preprocess.record import ForeignTracking
@@ -42,17 +44,25 @@ def run(job: Job) -> Mapping[str, Any]:
     numbers = list(source["numbers"])
     wanted = selection_of(options).keep(open_source(options.input, options.fps).frames())
     done = 0
-    for frame in wanted:
-        path = folder / f"{frame.number:06d}.png"
-        if not path.exists():
-            write_png(path, crop.image(frame.image))
-        done += 1
+    for done, _ in enumerate(in_order(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
         job.reporter.advance(done, len(numbers))
     if done != len(numbers):
         raise InputError(
             f"{options.input}: {len(numbers)} frames at first, {done} now; the file has changed while it was read"
         )
     return {"crop": crop.json()}
+
+
+def _missing(folder: Path, frames: Iterator[DecodedFrame]) -> Iterator[tuple[Path, np.ndarray | None]]:
+    """Where each frame is to be written and its pixels; none if it is there already."""
+    for frame in frames:
+        path = folder / f"{frame.number:06d}.png"
+        yield path, None if path.exists() else frame.image
+
+
+def _write(crop: Crop, path: Path, source: np.ndarray | None) -> None:
+    if source is not None:
+        write_png(path, crop.image(source))
 
 
 def choose_crop(job: Job) -> Crop:

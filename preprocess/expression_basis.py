@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preprocess.face_model import JAW_DEGREES, FaceModel, FaceMotion
+from preprocess.in_order import in_order
 from preprocess.rigid import Lens, Observations, Poses, project, projection_slopes, robust_weights
 
 CHUNK = 64
@@ -103,11 +104,13 @@ def fit_motion(
 
     Frame by frame).
     """
-    parts = []
-    for first in range(0, len(observed.points), CHUNK):
+
+    def fit(first: int) -> FaceMotion:
         chosen = slice(first, first + CHUNK)
         local = Camera(camera.lens, camera.poses[chosen])
-        parts.append(_fit_chunk(observed[chosen], local, model, expected.frames(chosen), iterations))
+        return _fit_chunk(observed[chosen], local, model, expected.frames(chosen), iterations)
+
+    parts = list(in_order(fit, range(0, len(observed.points), CHUNK)))
     return FaceMotion(
         np.concatenate([part.coefficients for part in parts]), np.concatenate([part.jaw for part in parts])
     )

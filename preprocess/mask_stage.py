@@ -12,6 +12,7 @@ from ggavatar.errors import GateError, InputError
 from ggavatar.pictures import picture_header, read_grey, read_rgb, write_png
 from preprocess.crop import Crop, crop_from_json
 from preprocess.frames import numbered_pictures
+from preprocess.in_order import in_order
 from preprocess.options import PrepOptions
 from preprocess.stage import Job, Stage, file_state
 
@@ -47,10 +48,13 @@ def _own_masks(job: Job, folder: Path) -> Mapping[str, Any]:
 
     offset = find_mask_offset(numbers, files, image, lambda path: fitted_mask(path, crop, size))
     kept = [number for number in numbers if number + offset in files]
-    for done, number in enumerate(kept, start=1):
+
+    def write(number: int) -> None:
         target = job.folder / "masks" / f"{number:06d}.png"
         if not target.exists():
             write_png(target, fitted_mask(files[number + offset], crop, size))
+
+    for done, _ in enumerate(in_order(write, kept), start=1):
         job.reporter.advance(done, len(kept))
     _report_missing(job, folder, len(numbers), len(kept), offset)
     return {"numbers": kept, "kind": "files", "offset": offset, "name": folder.name}
@@ -100,9 +104,13 @@ def _computed_masks(job: Job, wanted: str) -> Mapping[str, Any]:
     matting = open_matting(wanted, job.options.models, job.options.offline)
     for warning in matting.warnings:
         job.reporter.warn(warning)
-    images = (read_rgb(job.folder / "images" / f"{number:06d}.png") for number in numbers)
-    for done, (number, mask) in enumerate(zip(numbers, matting.masks(images), strict=True), start=1):
-        write_png(job.folder / "masks" / f"{number:06d}.png", mask)
+    names = [f"{number:06d}.png" for number in numbers]
+    masks = matting.masks(in_order(lambda name: read_rgb(job.folder / "images" / name), names))
+
+    def write(each: tuple[str, np.ndarray]) -> None:
+        write_png(job.folder / "masks" / each[0], each[1])
+
+    for done, _ in enumerate(in_order(write, zip(names, masks, strict=True)), start=1):
         job.reporter.advance(done, len(numbers))
     return {"numbers": numbers, "kind": matting.name, "offset": 0, "name": matting.name}
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
+from preprocess.in_order import in_order
 from preprocess.mask_network import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
@@ -25,6 +26,9 @@ STILL_DIFFERENCE = 0.03
 
 Below which a pixel counts as still and its coverage is averaged over time.
 """
+
+_MEAN = np.full((1, 3), 1 / 3, np.float32)
+"""Of three channels, as a matrix."""
 
 
 @runtime_checkable
@@ -42,7 +46,7 @@ class Matting(Protocol):
         ...
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """8-bit masks of the clip's images, in order and of their size; at most two images are held at a time."""
+        """8-bit masks of the clip's images, in order and of their size; a few images are held at a time."""
         ...
 
 
@@ -95,21 +99,24 @@ class SelfieMatting:
     warnings: tuple[str, ...] = ()
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """Masks with one image of look-ahead."""
+        """Masks with one image of look-ahead; threads finish some while the network sees others."""
+        return in_order(lambda three: _finished(*three), self._neighbours(images))
+
+    def _neighbours(self, images: Iterable[np.ndarray]) -> Iterator[tuple[_Seen | None, _Seen, _Seen | None]]:
+        """Every image as it is seen, between the one before and the one after."""
         past: _Seen | None = None
         now: _Seen | None = None
         for index, image in enumerate(images):
             ahead = self._see(image, mirrored=index % 2 == 1)
             if now is not None:
-                yield _finished(past, now, ahead)
+                yield past, now, ahead
             past, now = now, ahead
         if now is not None:
-            yield _finished(past, now, None)
+            yield past, now, None
 
     def _see(self, image: np.ndarray, mirrored: bool) -> _Seen:
-        view = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
-        coverage = self.network.coverage(view)
-        coverage = np.ascontiguousarray(coverage[:, ::-1]) if mirrored else coverage
+        coverage = self.network.coverage(cv2.flip(image, 1) if mirrored else image)
+        coverage = cv2.flip(coverage, 1) if mirrored else coverage
         small = cv2.resize(image, coverage.shape[::-1], interpolation=cv2.INTER_AREA)
         return _Seen(coverage, small.astype(np.float32) / 255, image.shape[1], image.shape[0])
 
@@ -127,19 +134,15 @@ class _Seen:
 def _finished(past: _Seen | None, now: _Seen, ahead: _Seen | None) -> UInt8[np.ndarray, "H W"]:
     """The mask of one image."""
     steady = steadied(now, [other for other in (past, ahead) if other is not None])
-    crisp = np.clip(
-        (cv2.resize(steady, (now.width, now.height), interpolation=cv2.INTER_LINEAR) - EDGE_LEVEL) * EDGE_GAIN + 0.5,
-        0,
-        1,
-    )
-    return only_person(to_mask(crisp, now.width, now.height))
+    wide = cv2.resize(steady, (now.width, now.height), interpolation=cv2.INTER_LINEAR)
+    return only_person(to_mask((wide - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
 
 
 def steadied(now: _Seen, others: list[_Seen]) -> Float[np.ndarray, "h w"]:
     """Coverage averaged with the neighbouring images' where the picture stands still; where it moves, its own."""
     total, weight = now.coverage.copy(), np.ones_like(now.coverage)
     for other in others:
-        difference = cv2.blur(np.abs(other.look - now.look).mean(axis=2), (3, 3))
+        difference = cv2.blur(cv2.transform(cv2.absdiff(other.look, now.look), _MEAN), (3, 3))
         share = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
         total += share * other.coverage
         weight += share
@@ -155,12 +158,14 @@ def to_mask(coverage: Float[np.ndarray, "h w"], width: int, height: int) -> UInt
 
 def only_person(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
     """The mask without anything that is not connected to its largest part, and without small holes in it."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((mask > 16).astype(np.uint8))
-    if count <= 1:
+    labels = cv2.connectedComponents((mask > 16).astype(np.uint8))[1]
+    areas = np.bincount(labels.ravel())
+    if len(areas) <= 1:
         return mask
-    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    kept = np.where(labels == largest, mask, 0).astype(np.uint8)
-    holes, hole_labels, hole_stats, _ = cv2.connectedComponentsWithStats((kept <= 127).astype(np.uint8), connectivity=4)
-    small = [label for label in range(1, holes) if hole_stats[label, cv2.CC_STAT_AREA] < mask.size // 2000]
-    kept[np.isin(hole_labels, small)] = 255
+    kept = mask * (labels == 1 + int(np.argmax(areas[1:])))
+    holes = cv2.connectedComponents((kept <= 127).astype(np.uint8), connectivity=4)[1]
+    small = np.bincount(holes.ravel()) < mask.size // 2000
+    small[0] = False
+    if small.any():
+        kept[np.take(small, holes)] = 255
     return kept

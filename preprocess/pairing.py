@@ -18,6 +18,7 @@ from jaxtyping import Float, UInt8
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
+from preprocess.in_order import in_order
 from preprocess.posing import posed_vertices, project
 
 PAIRS = 120
@@ -87,7 +88,7 @@ def find_offset(
     pairs = _moving_pairs(usable, tracking, {frame: row_of[frame - suggested] for frame in usable})
     if len(pairs) < 4:
         return Pairing(suggested, {}, suggested)
-    carried = _CarriedPicture(head, tracking, image)
+    carried = _CarriedPicture(head, tracking, image, pairs)
     changes = {
         offset: np.array(
             [carried.change(first, second, row_of[first - offset], row_of[second - offset]) for first, second in pairs]
@@ -107,8 +108,8 @@ def picture_change(
     Small if the tracking is right.
     """
     row_of = {frame: row for row, frame in enumerate(frames)}
-    carried = _CarriedPicture(head, tracking, image)
     pairs = _moving_pairs(frames, tracking, row_of)[:: max(1, PAIRS // 40)]
+    carried = _CarriedPicture(head, tracking, image, pairs)
     return np.array([carried.change(first, second, row_of[first], row_of[second]) for first, second in pairs])
 
 
@@ -141,15 +142,22 @@ def _moving_pairs(frames: Sequence[int], tracking: Tracking, row_of: dict[int, i
 
 
 class _CarriedPicture:
-    """Brightness under the vertices of the face; projections and pictures are kept while they are needed."""
+    """Brightness under the vertices of the face in pairs of frames, each picture read once."""
 
-    def __init__(self, head: HeadModel, tracking: Tracking, image: Callable[[int], np.ndarray]) -> None:
-        self._head, self._tracking, self._image = head, tracking, image
+    def __init__(
+        self,
+        head: HeadModel,
+        tracking: Tracking,
+        image: Callable[[int], np.ndarray],
+        pairs: Sequence[tuple[int, int]],
+    ) -> None:
+        self._head, self._tracking = head, tracking
         depth = head.template[:, 2].numpy()
         front = np.flatnonzero(depth > depth.min() + 0.6 * (depth.max() - depth.min()))
         self._vertices = front[:: max(1, len(front) // VERTICES)]
         self._projected: dict[int, np.ndarray] = {}
-        self._pictures: dict[int, np.ndarray] = {}
+        frames = sorted({frame for pair in pairs for frame in pair})
+        self._pictures = dict(zip(frames, in_order(lambda frame: _smooth_grey(image(frame)), frames), strict=True))
 
     def change(self, first: int, second: int, first_row: int, second_row: int) -> float:
         """Mean absolute difference between two frames, each seen through a row of the tracking.
@@ -166,11 +174,14 @@ class _CarriedPicture:
             vertices = posed_vertices(self._head, self._tracking, row)[self._vertices]
             pixels, _ = project(vertices, self._tracking.intrinsics[row], self._tracking.world_to_camera[row])
             self._projected[row] = np.clip(pixels, -1e4, 1e4).astype(np.float32) - np.float32(0.5)
-        if frame not in self._pictures:
-            grey = cv2.cvtColor(self._image(frame), cv2.COLOR_RGB2GRAY)
-            self._pictures[frame] = cv2.GaussianBlur(grey, (0, 0), max(grey.shape) / 170)
         place = self._projected[row]
         picture = self._pictures[frame].astype(np.float32)
         return cv2.remap(
             picture, place[:, :1], place[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e4
         ).ravel()
+
+
+def _smooth_grey(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W"]:
+    """Brightness without detail finer than a tracker's error."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return cv2.GaussianBlur(grey, (0, 0), max(grey.shape) / 170)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import cv2
 import numpy as np
 import torch
@@ -28,6 +31,17 @@ def drive_of(tracking: Tracking, row: int) -> Drive:
         translation=tensor(tracking.translation[row]),
         head_to_camera=tensor(tracking.world_to_camera[row]),
     )
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """A head is too small to share among torch's threads, which would wait for each other on a busy machine."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def posed_vertices(head: HeadModel, tracking: Tracking, row: int) -> Float[np.ndarray, "V 3"]:
@@ -87,10 +101,10 @@ def _sample(picture: np.ndarray, corners: Float[np.ndarray, "F 3 2"], count: int
     """Fill small triangles all at once, by points less than a pixel apart."""
     first, second = (axis.ravel() for axis in np.meshgrid(np.arange(count + 1), np.arange(count + 1)))
     inside = first + second <= count
-    weights = np.stack((first, second, count - first - second))[:, inside] / count
-    points = np.floor(weights.T.astype(np.float32) @ corners.astype(np.float32)).astype(np.int32).reshape(-1, 2)
-    points = points[((points >= 0) & (points < picture.shape[::-1])).all(axis=1)]
-    picture[points[:, 1], points[:, 0]] = 255
+    weights = np.stack((first, second, count - first - second))[:, inside].astype(np.float32) / np.float32(count)
+    across, down = np.floor(corners.transpose(2, 0, 1).astype(np.float32) @ weights).astype(np.int32)
+    within = (across >= 0) & (across < picture.shape[1]) & (down >= 0) & (down < picture.shape[0])
+    picture[down[within], across[within]] = 255
 
 
 def overlap(left: Bool[np.ndarray, "H W"], right: Bool[np.ndarray, "H W"]) -> float:

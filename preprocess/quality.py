@@ -9,10 +9,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from ggavatar.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
+from preprocess.in_order import in_order
 from preprocess.posing import posed_vertices, project
 
 BLURRED = 0.3
@@ -100,17 +101,22 @@ def coverage(tracking: Tracking) -> dict[str, Any]:
 def picture_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
     """Blurred and repeated frames; sharpness is measured within the masked person."""
     sharpness, repeated, before = [], [], None
-    for number in capture.frames:
-        grey = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
-        mask = cv2.erode(capture.mask(number), np.ones((5, 5), np.uint8)) > 127
-        detail = cv2.Laplacian(grey, cv2.CV_32F)
-        sharpness.append(float(detail[mask].std()) if mask.any() else 0.0)
-        if before is not None and float(np.abs(grey.astype(np.int16) - before).mean()) < REPEATED:
+    looked = in_order(lambda number: _look(capture, number), capture.frames)
+    for number, (grey, detail) in zip(capture.frames, looked, strict=True):
+        sharpness.append(detail)
+        if before is not None and float(cv2.absdiff(grey, before).mean()) < REPEATED:
             repeated.append(number)
-        before = grey.astype(np.int16)
+        before = grey
     typical = float(np.median(sharpness))
     blurred = [number for number, value in zip(capture.frames, sharpness, strict=True) if value < BLURRED * typical]
     return {"sharpness": typical, "blurred": blurred, "repeated": repeated}
+
+
+def _look(capture: Capture, number: int) -> tuple[UInt8[np.ndarray, "H W"], float]:
+    """One image in grey and how sharp it is within the person."""
+    grey = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
+    mask = cv2.erode(capture.mask(number), np.ones((5, 5), np.uint8)) > 127
+    return grey, float(cv2.Laplacian(grey, cv2.CV_32F)[mask].std()) if mask.any() else 0.0
 
 
 def landmark_error(capture: Capture, head: HeadModel) -> float | None:
@@ -119,10 +125,12 @@ def landmark_error(capture: Capture, head: HeadModel) -> float | None:
     if landmarks is None or place is None or landmarks.shape[1] < len(place[0]):
         return None
     (corners, weights), distances = place, []
+    placed = np.flatnonzero(weights.any(axis=1))
     for row in range(0, len(capture.frames), max(1, len(capture.frames) // 100)):
-        points = np.einsum("lk,lkc->lc", weights, posed_vertices(head, capture.tracking, row)[corners])
+        vertices = posed_vertices(head, capture.tracking, row)
+        points = np.einsum("lk,lkc->lc", weights[placed], vertices[corners[placed]])
         pixels, _ = project(points, capture.tracking.intrinsics[row], capture.tracking.world_to_camera[row])
-        distances.append(np.linalg.norm(pixels - landmarks[row, : len(corners)], axis=1))
+        distances.append(np.linalg.norm(pixels - landmarks[row, placed], axis=1))
     found = np.concatenate(distances)
     return float(np.nanmedian(found)) if np.isfinite(found).any() else None
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.sparse import csr_array
 from ggavatar.capture import Tracking
 from ggavatar.head.model import HeadModel
 from preprocess.generic_head import GenericHead
+from preprocess.in_order import in_order
 from preprocess.posing import overlap, posed_vertices, project, silhouette
 from preprocess.surface_extension import SurfaceExtension
 
@@ -79,8 +81,10 @@ def fit_outline(
     for _ in range(ROUNDS):
         current = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
         total, hits = np.zeros_like(template), np.zeros(len(template))
-        for row, depth in zip(outlines.rows, depths, strict=True):
-            _add_pulls((current, outer), tracking, int(row), depth, outlines.scale, (total, hits))
+        pulled = partial(_pulls, (current, outer), tracking, outlines.scale)
+        for rows, pulls in in_order(pulled, zip(outlines.rows.tolist(), depths, strict=True)):
+            total[rows] += pulls
+            hits[rows] += 1
         wanted = np.clip(total / np.maximum(hits, 1)[:, None], -LARGEST_STEP, LARGEST_STEP)
         wanted[generic.regions["face"]] = 0.0
         weights = PULL * np.minimum(hits, 4) / 4
@@ -123,16 +127,11 @@ def _inside_distance(mask: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform(inside, cv2.DIST_L2, 5) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 5)
 
 
-def _add_pulls(
-    surface: tuple[HeadModel, np.ndarray],
-    tracking: Tracking,
-    row: int,
-    depth: np.ndarray,
-    scale: float,
-    sums: tuple[np.ndarray, np.ndarray],
-) -> None:
-    """Add to displacement and count of every vertex on the mesh's outline what one frame's mask asks for."""
-    (head, faces), (total, hits) = surface, sums
+def _pulls(
+    surface: tuple[HeadModel, np.ndarray], tracking: Tracking, scale: float, view: tuple[int, np.ndarray]
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """Vertices on the mesh's outline and the displacements, m, that one frame's mask asks for."""
+    (head, faces), (row, depth) = surface, view
     height, width = depth.shape[0] - 2 * PADDING, depth.shape[1] - 2 * PADDING
     vertices = posed_vertices(head, tracking, row)
     pose = tracking.world_to_camera[row]
@@ -151,8 +150,7 @@ def _add_pulls(
     metres = wanted * distances[rows] / (tracking.intrinsics[row, 0, 0] * scale)
     near = np.abs(metres) < FARTHEST
     rows, metres, outward = rows[near], metres[near], outward[near]
-    total[rows] += 0.7 * metres[:, None] * outward @ pose[:3, :3]
-    hits[rows] += 1
+    return rows, 0.7 * metres[:, None] * outward @ pose[:3, :3]
 
 
 def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -167,10 +165,12 @@ def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def outline_overlap(head: HeadModel, tracking: Tracking, outlines: Outlines) -> float:
     """Mean intersection over union of mesh and masks."""
-    scores = []
-    for row, mask in zip(outlines.rows, outlines.masks, strict=True):
-        vertices = posed_vertices(head, tracking, int(row))
+
+    def score(view: tuple[int, np.ndarray]) -> float:
+        row, mask = view
+        vertices = posed_vertices(head, tracking, row)
         intrinsics = np.diag([outlines.scale, outlines.scale, 1.0]) @ tracking.intrinsics[row]
         pixels, distances = project(vertices, intrinsics, tracking.world_to_camera[row])
-        scores.append(overlap(silhouette(pixels, distances, head.faces.numpy(), mask.shape[::-1]), mask > 127))
-    return float(np.mean(scores))
+        return overlap(silhouette(pixels, distances, head.faces.numpy(), mask.shape[::-1]), mask > 127)
+
+    return float(np.mean(list(in_order(score, zip(outlines.rows.tolist(), outlines.masks, strict=True)))))

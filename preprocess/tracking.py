@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,7 @@ from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_tracking import track_flame
 from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.in_order import in_order
 from preprocess.options import PrepOptions
 from preprocess.rigid import nearest_true
 from preprocess.sequence import TrackedSequence
@@ -67,8 +69,8 @@ def track(
     """Track a clip.
 
     Args:
-        images: 8-bit RGB frames of one size; each is asked for once, in order.
-        masks: 8-bit foreground, 255 = person; each is asked for once, in order.
+        images: 8-bit RGB frames of one size; each is asked for once, by several threads.
+        masks: 8-bit foreground, 255 = person; each is asked for once, by several threads.
         fps: Frames a second.
         options: Uses `models`, `offline`, `tracker` and `head_model`: a FLAME file is fitted instead of a head of the
             subject's own.
@@ -78,11 +80,16 @@ def track(
         InputError: A model file is missing, or hardly a frame shows a face.
     """
     tracker, face = open_networks(options)
-    watched = watch(images, masks, fps, tracker)
-    watched = dataclasses.replace(watched, clip=dataclasses.replace(watched.clip, center=center))
+
+    def watched() -> Watched:
+        found = watch(images, masks, fps, tracker)
+        return dataclasses.replace(found, clip=dataclasses.replace(found.clip, center=center))
+
     if options.head_model is not None:
-        return track_flame(watched.clip, face, options.head_model, options.tracker)
-    return track_landmarks(watched, face, options)
+        return track_flame(watched().clip, face, options.head_model, options.tracker)
+    with ThreadPoolExecutor(1, thread_name_prefix="generic-head") as aside:
+        generic = aside.submit(generic_head, face)
+        return track_landmarks(watched(), face, generic.result(), options)
 
 
 def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
@@ -94,16 +101,15 @@ def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]
 
 
 def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
-    """Landmarks and torso motion of every frame, holding one picture at a time."""
+    """Landmarks and torso motion of every frame, holding a few pictures at a time."""
     torso, points, scores, motions, kept = TorsoTracker(), [], [], [], []
     rows, size = chosen_rows(len(images)), (0, 0)
-    for index in range(len(images)):
-        image = images[index]
+    pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
+    for index, (image, mask) in enumerate(pictures):
         size = (image.shape[1], image.shape[0])
         found = tracker.landmarks(image)
         points.append(None if found is None else found.points)
         scores.append(np.zeros(52) if found is None else found.blendshapes)
-        mask = masks[index]
         motions.append(torso.motion(image, mask, points[-1]))
         if index in rows:
             kept.append(reduce_mask(mask))
@@ -119,9 +125,11 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
     return Watched(clip, motions, Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0]))
 
 
-def track_landmarks(watched: Watched, face: CanonicalFace, options: PrepOptions) -> TrackedSequence:
+def track_landmarks(
+    watched: Watched, face: CanonicalFace, generic: GenericHead, options: PrepOptions
+) -> TrackedSequence:
     """Everything after the pictures have been looked at."""
-    settings, clip, generic = options.tracker, watched.clip, generic_head(face)
+    settings, clip = options.tracker, watched.clip
     own = max(0, settings.expressions - len(AXES))
     fit = fit_clip(clip, face, generic, own, settings.focal, settings.smooth)
     fit = _with_gaze_centered(watched, fit, generic)

@@ -20,6 +20,7 @@ from preprocess.hypotheses import apply_fixes
 from preprocess.importing import SWAPPED_SIZE, read_foreign
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
+from preprocess.posing import one_torch_thread
 from preprocess.record import FLAME_JOINTS, ForeignTracking
 from preprocess.sequence import TrackedSequence
 from preprocess.stage import Job, Stage, file_state
@@ -42,7 +43,8 @@ def run(job: Job) -> Mapping[str, Any]:
     from ggavatar.head.files import save_head
 
     numbers = list(job.results["masks"]["numbers"])
-    numbers, sequence = _imported(job, numbers) if job.options.tracking else (numbers, _tracked(job, numbers))
+    with one_torch_thread():
+        numbers, sequence = _imported(job, numbers) if job.options.tracking else (numbers, _tracked(job, numbers))
     write_npz(job.folder / TRACKING, sequence.tracking.arrays())
     save_head(sequence.head, job.folder / HEAD)
     for warning in sequence.report.get("warnings", ()):

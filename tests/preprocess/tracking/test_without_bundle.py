@@ -61,7 +61,7 @@ def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
 
 def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
     watched, rotations, jaw = performed(generic)
-    found = track_landmarks(watched, drawn_face(), PrepOptions(Path("clip"), tmp_path))
+    found = track_landmarks(watched, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
     turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
     apart = np.degrees((turned * turned.mean().inv()).magnitude())
     assert np.median(apart) < 1.0

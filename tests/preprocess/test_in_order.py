@@ -1,0 +1,46 @@
+"""Threads against a plain `map`: the same results in the same order, few items at a time, the same errors."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from preprocess.in_order import AHEAD, cores, in_order
+
+
+def test_results_keep_their_order_whoever_is_first() -> None:
+    def slow_when_even(number: int) -> int:
+        time.sleep(0.003 if number % 2 == 0 else 0.0)
+        return number * number
+
+    assert list(in_order(slow_when_even, range(40))) == [number * number for number in range(40)]
+    assert list(in_order(str, [])) == []
+
+
+def test_only_a_few_items_are_taken_ahead() -> None:
+    taken: list[int] = []
+
+    def endless():
+        for number in range(10**9):
+            taken.append(number)
+            yield number
+
+    results = in_order(lambda number: number, endless())
+    assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
+    results.close()
+    assert 5 <= len(taken) <= 5 + cores() + AHEAD
+
+
+def test_an_error_comes_at_its_items_place_and_threads_end() -> None:
+    def picky(number: int) -> int:
+        if number == 3:
+            raise ValueError("three")
+        return number
+
+    before, results = threading.active_count(), in_order(picky, range(1000))
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="three"):
+        next(results)
+    assert threading.active_count() == before
