@@ -5,9 +5,11 @@ Margin on margin, then onto the skin.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from scipy.interpolate import RBFInterpolator
 from scipy.sparse import csr_array
@@ -52,6 +54,13 @@ class Embedding:
         """Sparse map from vertex values to point values."""
         rows = np.repeat(np.arange(len(self.landmarks)), 3)
         return csr_array((self.weights.ravel(), (rows, self.corners.ravel())), shape=(len(self.landmarks), vertices))
+
+    def on_head(self, head: HeadModel) -> HeadModel:
+        """The head with the places of its landmarks; those of the 468 that have none get weights of zero."""
+        corners, weights = np.zeros((topology.MESH_POINTS, 3), np.int64), np.zeros((topology.MESH_POINTS, 3))
+        corners[self.landmarks], weights[self.landmarks] = self.corners, self.weights
+        regions = {**head.regions, "landmarks": torch.from_numpy(corners.ravel())}
+        return dataclasses.replace(head, regions=regions, landmark_weights=torch.from_numpy(weights).float())
 
 
 def embed(face: CanonicalFace, head: HeadModel) -> Embedding:

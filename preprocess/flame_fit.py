@@ -42,7 +42,7 @@ class FlameLandmarks:
     """FLAME as its landmarks see it.
 
     Attributes:
-        landmarks: Which of the 478 landmarks.
+        embedding: Which landmarks, and where they are on the model's triangles.
         template: Mean positions, m.
         shapes: Displacement per unit of each identity coefficient, m.
         expressions: The same for expressions, then the two lids.
@@ -50,7 +50,7 @@ class FlameLandmarks:
         joints: Joint positions of the mean head, m.
     """
 
-    landmarks: np.ndarray
+    embedding: Embedding
     template: Float[np.ndarray, "L 3"]
     shapes: Float[np.ndarray, "L 3 S"]
     expressions: Float[np.ndarray, "L 3 E"]
@@ -101,7 +101,7 @@ def flame_landmarks(head: HeadModel, embedding: Embedding, expressions: int) -> 
         (basis[:, :, identities : identities + expressions], head.eyelid_basis.numpy().astype(np.float64)), axis=2
     )
     return FlameLandmarks(
-        landmarks=embedding.landmarks,
+        embedding=embedding,
         template=place @ template,
         shapes=_at(place, basis[:, :, : min(identities, SHAPES)]),
         expressions=_at(place, moving),
@@ -157,9 +157,12 @@ def fit_flame(clip: Clip, flame: FlameLandmarks, face: CanonicalFace, found: Fou
         face: Canonical face; says which landmarks hold still.
         found: Lens and size of the face; poses are found anew, since FLAME's head frame is its own.
     """
-    trust = np.maximum(rigidity(face), 0.3)[flame.landmarks]
+    seen = flame.embedding.landmarks
+    trust = np.maximum(rigidity(face), 0.3)[seen]
     everything = clip.observations(np.maximum(rigidity(face), 0.3), OWN_ERROR * found.width)
-    observed = Observations(everything.points[:, flame.landmarks], everything.weights[:, flame.landmarks])
+    observed = Observations(
+        everything.points[:, flame.embedding.landmarks], everything.weights[:, flame.embedding.landmarks]
+    )
     rigid = dataclasses.replace(observed, weights=observed.weights * np.where(trust > 0.5, 1.0, 0.1))
     identity, lens = np.zeros(flame.shapes.shape[2]), found.camera.lens
     expected = _expectation(clip, flame.expressions.shape[2] - 2)

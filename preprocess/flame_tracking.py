@@ -41,8 +41,9 @@ def track_flame(clip: Clip, face: CanonicalFace, path: Path, settings: TrackingO
             "fit; leave out --head-model to get a head of the subject's own, or give --tracking"
         )
     found = find_camera(clip, face, settings.focal, settings.smooth)
-    fit = fit_flame(clip, read_flame(path, face, settings.expressions), face, found)
-    head = load_flame(path, fit.identity, expressions=settings.expressions)
+    flame = read_flame(path, face, settings.expressions)
+    fit = fit_flame(clip, flame, face, found)
+    head = flame.embedding.on_head(load_flame(path, fit.identity, expressions=settings.expressions))
     joints = (head.joint_regressor @ head.template).numpy().astype(np.float64)
     report = {
         "tracker": "built-in, FLAME",
