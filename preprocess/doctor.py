@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +14,11 @@ from ggavatar.arrays import write_text
 from ggavatar.capture import Capture
 from ggavatar.head.model import HeadModel
 from preprocess import quality
-from preprocess.evidence import Evidence, Ranking, gather, rank, rivals
+from preprocess.evidence import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
 from preprocess.hypotheses import AXES, EYES, OTHERS
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
+from preprocess.posing import one_torch_thread
 from preprocess.stage import Job, Stage
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
@@ -70,6 +71,11 @@ class Diagnosis:
 
 def examine(capture: Capture, head: HeadModel) -> Diagnosis:
     """Measure everything and draw conclusions; a few seconds for a usual clip."""
+    with one_torch_thread():
+        return _examined(capture, head)
+
+
+def _examined(capture: Capture, head: HeadModel) -> Diagnosis:
     findings: list[Finding] = []
     measures: dict[str, Any] = {}
     evidence = gather(capture, head)
@@ -79,7 +85,8 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
     measures["other_hypotheses"] = [list(item) for item in others.scores]
     own = dict(axes.scores)["as-is"]
     measures["silhouette_iou"] = own
-    named = _convention(axes, others) or _turning(capture, head, evidence, dict(axes.scores) | dict(others.scores))
+    scores = dict(axes.scores) | dict(others.scores)
+    named = _convention(capture, head, (axes, others)) or _turning(capture, head, evidence, scores)
     findings += named or _overlap(own)
     measures["lens"] = quality.lens(capture)
     findings += _lens(measures["lens"], capture, bool(named))
@@ -95,14 +102,16 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
     return Diagnosis(tuple(findings), measures)
 
 
-def _convention(axes: Ranking, others: Ranking) -> list[Finding]:
+def _convention(capture: Capture, head: HeadModel, rankings: Sequence[Ranking]) -> list[Finding]:
     """The convention the tracking was most probably written in, if not ours."""
-    candidates = [ranking for ranking in (axes, others) if ranking.best is not None]
+    candidates = [ranking for ranking in rankings if ranking.best is not None]
     if not candidates:
         return []
     chosen = max(candidates, key=lambda ranking: ranking.scores[0][1])
     assert chosen.best is not None
     before, after = dict(chosen.scores)["as-is"], chosen.scores[0][1]
+    if after - before < NEARLY and rather_late(capture, head, chosen.best):
+        return []
     message = f"{chosen.best.words}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
     return [Finding(chosen.best.name, "fault", message, f"--resume --fix {chosen.best.name}")]
 

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from ggavatar.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from preprocess.hypotheses import AXES, OTHERS, Hypothesis
-from preprocess.pairing import picture_change
+from preprocess.in_order import in_order
+from preprocess.pairing import find_offset, picture_change
 from preprocess.posing import overlap, posed_vertices, project, silhouette
 
 SIDE = 128
@@ -49,14 +50,16 @@ class Evidence:
     def overlaps(self, tracking: Tracking, hypothesis: Hypothesis) -> Float[np.ndarray, " N"]:
         """IoU of silhouette and mask in every sampled frame, if the hypothesis were true and undone."""
         corrected = hypothesis.correct(tracking, *self.size)
-        result = []
-        for row, vertices, mask in zip(self.rows, self.vertices, self.masks, strict=True):
+
+        def score(view: tuple[int, np.ndarray, np.ndarray]) -> float:
+            row, vertices, mask = view
             # The vertices hold the old translation; a hypothesis may change it.
             moved = vertices - tracking.translation[row] + corrected.translation[row]
             pixels, depth = project(moved, corrected.intrinsics[row], corrected.world_to_camera[row])
             drawn = silhouette(pixels * self.scale, depth, self.faces, (mask.shape[1], mask.shape[0]))
-            result.append(_overlap_above(drawn, mask))
-        return np.array(result)
+            return _overlap_above(drawn, mask)
+
+        return np.array(list(in_order(score, zip(self.rows, self.vertices, self.masks, strict=True))))
 
 
 def _overlap_above(drawn: np.ndarray, seen: np.ndarray) -> float:
@@ -101,6 +104,20 @@ def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[s
         if found is None or lead.mean() > found[0]:
             found = (float(lead.mean()), hypothesis)
     return found[1] if found else None
+
+
+def rather_late(capture: Capture, head: HeadModel, hypothesis: Hypothesis) -> bool:
+    """Whether frames paired with a neighbour's pose explain the picture under the mesh better than a hypothesis does.
+
+    Silhouettes that a late head leaves behind may fit a turned one a little better by chance.
+    """
+    frames, now = capture.frames, capture.tracking
+    corrected = hypothesis.correct(now, capture.width, capture.height)
+    if np.allclose(now.world_to_camera, corrected.world_to_camera, atol=1e-6):
+        return False
+    shifted = find_offset(head, now, frames, frames, capture.image).scores
+    change = float(np.nanmean(picture_change(head, corrected, frames, capture.image)))
+    return bool(shifted) and min(shifted.values()) < change
 
 
 def _same_cameras(left: Tracking, right: Tracking) -> bool:

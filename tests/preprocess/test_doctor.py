@@ -18,6 +18,7 @@ from ggavatar.pictures import picture_header
 from preprocess.cli import main as prep
 from preprocess.doctor import examine
 from preprocess.doctor_cli import main as doctor
+from preprocess.evidence import rather_late
 from preprocess.hypotheses import AXES, FIXES, apply_fixes
 from preprocess.subject.demo import Settings, write_demo
 
@@ -97,6 +98,16 @@ def test_frames_off_by_some_are_named(capture, head, shift):
     assert [finding.code for finding in found] == ["offset"]
     assert found[0].flag == f"--resume --frame-offset {shift}"
     assert ("ahead" if shift > 0 else "behind") in found[0].message
+
+
+def test_a_late_head_is_not_taken_for_a_turned_one(capture, head):
+    """Silhouettes alone took subject 4, two frames late, for transposed (IoU 0.83 against 0.81)."""
+    transposed = FIXES["transposed"]
+    late = dataclasses.replace(capture, tracking=capture.tracking.rows(np.clip(np.arange(FRAMES) + 2, 0, FRAMES - 1)))
+    assert rather_late(late, head, transposed)
+    wrong = transposed.correct(capture.tracking, capture.width, capture.height)
+    assert not rather_late(dataclasses.replace(capture, tracking=wrong), head, transposed)
+    assert not rather_late(late, head, FIXES["centre"]), "says nothing about lenses"
 
 
 @pytest.mark.parametrize("factor", sorted_by_need([2.0, 0.5, 450 / 512], {2.0}))
