@@ -26,7 +26,7 @@ from preprocess.expression_basis import (
     regress,
 )
 from preprocess.face_model import FaceModel, FaceMotion
-from preprocess.face_topology import MESH_POINTS, rigidity
+from preprocess.face_topology import MESH_POINTS, anchoring, rigidity
 from preprocess.generic_head import JOINT_NAMES, GenericHead
 from preprocess.rigid import Lens, Observations, Poses, initial_poses, nearest_true, project, refine_poses
 from preprocess.smoothing import penalty
@@ -125,7 +125,7 @@ class FoundCamera:
 
 def find_camera(clip: Clip, face: CanonicalFace, focal: float | None, smooth: bool) -> FoundCamera:
     """Focal length, head poses and neutral landmarks; see `fit_clip` for the arguments."""
-    trust = rigidity(face)
+    trust = rigidity(face) * anchoring(face)
     found, lens = _start(clip, face, trust, focal)
     width = float(lens.focal * FACE_WIDTH / np.median(found.translations[:, 2]))
     shared = clip.observations(trust, SHARED_ERROR * width)

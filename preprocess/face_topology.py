@@ -36,6 +36,15 @@ def lids() -> np.ndarray:
     return np.unique(np.concatenate((RIGHT_UPPER_LID, RIGHT_LOWER_LID, LEFT_UPPER_LID, LEFT_LOWER_LID)))
 
 
+def anchoring(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
+    """Trust in each landmark to stay on its spot of the skin: 1 within 5 cm of the face's middle, 0.1 at its edge.
+
+    The network puts landmarks of the edge where the cheek turns away from the camera: they slide when the head nods,
+    and hide a quarter of the nod (docs/log.md).
+    """
+    return 1 - 0.9 * np.clip((np.abs(face.vertices[:, 0]) - 0.05) / 0.015, 0.0, 1.0)
+
+
 def rigidity(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
     """Trust in each landmark as a point fixed to the skull: 1 on forehead, nose and temples, 0.05 on mouth and jaw."""
     trust = np.where(face.vertices[:, 1] > NOSE_BASE_HEIGHT, 1.0, 0.05)

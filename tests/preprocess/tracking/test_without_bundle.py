@@ -13,7 +13,7 @@ from ggavatar.face.drawn_face import drawn_face
 from ggavatar.face.landmarks import LandmarkTracker
 from ggavatar.face.networks import FaceFiles
 from preprocess.clip_fit import Clip
-from preprocess.face_topology import LEFT_IRIS, LOWER_LIP_MARGIN, RIGHT_IRIS, UPPER_LIP_MARGIN
+from preprocess.face_topology import LEFT_IRIS, LOWER_LIP_MARGIN, RIGHT_IRIS, UPPER_LIP_MARGIN, anchoring
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.options import PrepOptions
 from preprocess.silhouette_fit import Outlines
@@ -34,6 +34,12 @@ def test_drawn_face_is_a_face_in_our_axes() -> None:
     assert points.shape == (468, 3) and 0.12 < np.ptp(points[:, 0]) < 0.18
     assert points[:, 2].argmax() in (1, 4) and points[263, 0] > 0 > points[33, 0]
     assert points[10, 1] > points[1, 1] > points[13, 1] > points[152, 1]
+
+
+def test_the_edge_of_the_face_is_trusted_least() -> None:
+    trust = anchoring(drawn_face())
+    assert trust[[1, 6, 168, 33, 263]].min() > 0.9 and trust[[234, 454]] == pytest.approx(0.1)
+    assert (np.diff(trust[np.argsort(np.abs(drawn_face().vertices[:, 0]))]) <= 1e-12).all()
 
 
 def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
