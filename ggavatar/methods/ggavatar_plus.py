@@ -6,13 +6,13 @@ Ours. It holds a `ggavatar.GGAvatar` and states only what differs; docs/log.md h
     2. The latent network sees the head pose, held within its training range.
     3. The basis has three more rows, for colour: wrinkles, shading, gaze (as in RGBAvatar and GPAvatar).
     4. Mouth and eyes weigh more in the image loss (as in FlashAvatar), and coverage is compared with the mask.
-    5. First colours come from the frames, and the budget of rows opens evenly.
+    5. First colours come from the frames, the budget of rows opens evenly, and rows learn faster for longer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
@@ -44,6 +44,14 @@ class Config:
     """Length of the latent vector."""
     network_rate: float = 1e-3
     """Learning rate of the networks; ten times the paper's, for trainings a tenth as long or shorter."""
+    position_rate: float = 1e-2
+    """Learning rate of local positions at the start, triangle units; twice the paper's."""
+    position_iterations: int = 120_000
+    """Iterations over which it falls; rows born late can still move."""
+    scale_rate: float = 0.017
+    """Learning rate of the logarithms of local scales; GaussianAvatars', three times the paper's."""
+    color_rate: float = 1e-2
+    """Learning rate of the constant spherical harmonic; four times that of 3DGS."""
     sh_degree: int = 1
     """Highest degree of the spherical harmonics, 0 to 3."""
     sh_iterations: int = 20_000
@@ -114,22 +122,14 @@ class GGAvatarPlus(nn.Module):
 
 def paper_config(config: Config) -> ggavatar.Config:
     """The paper's method with our settings."""
+    shared = {field.name for field in fields(ggavatar.Config)} & {field.name for field in fields(config)}
     return ggavatar.Config(
+        **{name: getattr(config, name) for name in shared},
         pose_on="neck" if config.torso else "camera",
         condition="face_and_pose" if config.pose_condition else "face",
-        condition_noise=config.condition_noise,
-        color_unit=config.color_unit,
-        latent=config.latent,
-        network_rate=config.network_rate,
-        sh_degree=config.sh_degree,
-        sh_iterations=config.sh_iterations,
-        density_start=config.density_start,
         density_ramp=True,
         first_colors="frames",
-        perceptual_weight=config.perceptual_weight,
         perceptual_mode="crops",
-        crop_side=config.crop_side,
-        crop_probability=config.crop_probability,
     )
 
 
