@@ -139,6 +139,8 @@ SEED: dict[str, Any] = {
 SHORT: dict[str, Any] = {
     "pose_on": "neck",
     "first_colors": "frames",
+    "position_rate": 1e-2,
+    "color_rate": 5e-3,
     "sh_degree": 1,
     "perceptual_mode": "crops",
     "crop_side": 96,
