@@ -136,6 +136,7 @@ class Config:
 SHORT: dict[str, Any] = {
     "pose_on": "neck",
     "first_colors": "frames",
+    "color_rate": 5e-3,
     "sh_degree": 1,
     "sh_iterations": 7_000,
     "difference_sh_degree": 0,
