@@ -168,7 +168,7 @@ class FlashAvatar(nn.Module):
         offsets = self.network(self._encoding(), self._condition(drive)).tanh()
         rows = self.rows
         placed = moved(self._places(drive), rows["quats"], rows["log_scales"], offsets)
-        return Gaussians(*placed, rows["opacity_logits"].sigmoid(), self._colors(), self._sh_degree())
+        return Gaussians(*placed, rows["opacity_logits"].sigmoid(), harmonics(rows), self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
         """Huber loss of the image and of the mouth, and late the perceptual term."""
@@ -224,10 +224,6 @@ class FlashAvatar(nn.Module):
         """Facial parameters, with the head pose if wanted."""
         face = self.head.condition(drive)
         return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
-
-    def _colors(self) -> Float[Tensor, "N K 3"]:
-        rows = self.rows
-        return harmonics(rows)
 
     def _sh_degree(self) -> int:
         """Degree in use: one more every `sh_iterations`."""
