@@ -17,7 +17,7 @@ class TrackingOptions:
     """Focal length in px of the capture's images; found from the clip if not given."""
 
     expressions: int = 50
-    """How many expression coefficients the subject's head gets."""
+    """How many expression coefficients the subject's head gets; the length of the neck is one more."""
 
     smooth: bool = True
     """Smooth poses and expressions over time, without lag."""

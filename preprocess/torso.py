@@ -136,22 +136,32 @@ def _similarity_parts(matrix: np.ndarray, rest: Poses, lens: Lens) -> np.ndarray
     return np.append(np.append(across, new_depth) - rest.translations[0], np.arctan2(matrix[1, 0], matrix[0, 0]))
 
 
-def neck_turns(
-    torso: Poses, head: Poses, pivots: TorsoPivots
-) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
-    """Turns of the upper and the lower neck joint that put the torso where it is, seen from the head; axis-angle, rad.
+@dataclass(frozen=True)
+class NeckMotion:
+    """What the two joints of the neck do to put the torso where it is, seen from the head.
 
-    The upper joint swings the lower one towards its place (a change of the neck's length is dropped), the lower one
-    turns the torso.
+    Attributes:
+        upper: Turn of the upper joint, axis-angle, rad; it swings the lower joint towards its place.
+        lower: Turn of the lower joint, axis-angle, rad; it turns the torso.
+        stretch: How much longer the neck is than at rest, m: shoulders that rise, a chin that is lifted.
     """
+
+    upper: Float[np.ndarray, "T 3"]
+    lower: Float[np.ndarray, "T 3"]
+    stretch: Float[np.ndarray, " T"]
+
+
+def neck_motion(torso: Poses, head: Poses, pivots: TorsoPivots) -> NeckMotion:
+    """The motion of the neck that reaches the torso's pose exactly."""
     relative = head.rotations.transpose(0, 2, 1) @ torso.rotations
     offset = np.einsum("tba,tb->ta", head.rotations, torso.translations - head.translations)
     reached = np.einsum("tab,b->ta", relative, pivots.lower) + offset
     arm, wanted = pivots.lower - pivots.upper, reached - pivots.upper
-    arm, wanted = arm / np.linalg.norm(arm), wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
+    length, lengths = np.linalg.norm(arm), np.linalg.norm(wanted, axis=1)
+    arm, wanted = arm / length, wanted / lengths[:, None]
     axis = np.cross(arm, wanted)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
     angle = np.arctan2(sine[:, 0], wanted @ arm)
     upper = axis * (angle[:, None] / np.maximum(sine, 1e-9))
     lower = Rotation.from_rotvec(upper).inv() * Rotation.from_matrix(relative)
-    return upper, lower.as_rotvec()
+    return NeckMotion(upper, lower.as_rotvec(), lengths - length)

@@ -17,7 +17,9 @@ from preprocess.face_embedding import lip_loop
 from preprocess.generic_head import JOINT_NAMES, PARENTS, GenericHead
 from preprocess.surface_extension import SurfaceExtension
 
-VERSION = "tracked-1"
+VERSION = "tracked-2"
+NECK_UNIT = 0.01
+"""Metres of the neck's length per unit of the last expression axis."""
 LID_GAP = 0.0022
 """Thickness of a lid: how far its margin lies outside the eyeball, m."""
 EYEBALL_RADIUS = 0.0120
@@ -144,7 +146,7 @@ def assemble(
     own: Float[np.ndarray, "468 3 K"],
     lids: Float[np.ndarray, "468 3 2"],
 ) -> HeadModel:
-    """The head model: named axes first, then the subject's own.
+    """The head model: named axes first, then the subject's own, then the length of the neck.
 
     Args:
         generic: The generic head.
@@ -159,7 +161,7 @@ def assemble(
     spread = SurfaceExtension(generic.soft, generic.landmarks, held)
     count = named.shape[2]
     learnt = generic.axes[:, :, :count] + spread(named - _at_landmarks(generic, generic.axes[:, :, :count]))
-    basis = np.concatenate((learnt, spread(own)), axis=2)
+    basis = np.concatenate((learnt, spread(own), _neck_axis(generic, shape)), axis=2)
     regions = generic.regions | {"landmarks": generic.embedding.corners.ravel()}
     return HeadModel(
         template=_real(shape.vertices),
@@ -176,6 +178,18 @@ def assemble(
         uv=_real(generic.uv),
         landmark_weights=_real(generic.embedding.weights),
     )
+
+
+def _neck_axis(generic: GenericHead, shape: PersonalShape) -> Float[np.ndarray, "V 3 1"]:
+    """Displacement per unit of the neck's length: the torso goes down the neck, and what is between follows in part.
+
+    It is an axis of the expression since joints can only turn; shoulders would follow every nod without it.
+    """
+    upper, lower = (shape.joints[JOINT_NAMES.index(name)] for name in ("cervical", "torso"))
+    arm = lower - upper
+    along = np.clip((shape.vertices - upper) @ arm / (arm @ arm), 0.0, 1.0)
+    share = generic.weights[:, JOINT_NAMES.index("torso")] + generic.weights[:, JOINT_NAMES.index("cervical")] * along
+    return (NECK_UNIT * share[:, None] * arm / np.linalg.norm(arm))[:, :, None]
 
 
 def _at_landmarks(generic: GenericHead, values: np.ndarray) -> np.ndarray:

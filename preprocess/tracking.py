@@ -30,8 +30,8 @@ from preprocess.rigid import nearest_true
 from preprocess.sequence import TrackedSequence
 from preprocess.silhouette_fit import Outlines, chosen_rows, fit_outline, outline_overlap, reduce_mask
 from preprocess.smoothing import penalty, pose_jitter, smooth
-from preprocess.torso import TorsoPivots, TorsoTracker, neck_turns, torso_poses
-from preprocess.tracked_head import assemble, move_eyes
+from preprocess.torso import TorsoPivots, TorsoTracker, neck_motion, torso_poses
+from preprocess.tracked_head import NECK_UNIT, assemble, move_eyes
 
 ENOUGH_FRAMES = 8
 BLINK = 0.5
@@ -171,11 +171,13 @@ def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
     joints[:, 3:5] = conjugate(_turns(watched, fit), visible, clip.fps, smoothed)
     pivots = TorsoPivots(fit.shape.joints[JOINT_NAMES.index("cervical")], fit.shape.joints[JOINT_NAMES.index("torso")])
     torso = torso_poses(watched.torso, camera.poses, camera.lens, clip.fps)
-    joints[:, 5], joints[:, 6] = neck_turns(torso, camera.poses, pivots)
+    neck = neck_motion(torso, camera.poses, pivots)
+    joints[:, 5], joints[:, 6] = neck.upper, neck.lower
+    expression = steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF)
     return Tracking(
         intrinsics=np.tile(camera.lens.matrix(), (count, 1, 1)),
         world_to_camera=camera.poses.matrices(),
-        expression=steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF),
+        expression=np.concatenate((expression, neck.stretch[:, None] / NECK_UNIT), axis=1),
         joint_rotations=joints,
         eyelids=lids,
         translation=np.zeros((count, 3)),

@@ -12,7 +12,7 @@ from preprocess.face_embedding import boundary_loops, closest_points
 from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
 from preprocess.rigid import Lens, Poses
 from preprocess.surface_extension import SurfaceExtension
-from preprocess.torso import TorsoPivots, TorsoTracker, neck_turns, torso_poses
+from preprocess.torso import TorsoPivots, TorsoTracker, neck_motion, torso_poses
 from preprocess.tracked_head import similarity
 
 LENS = Lens(1000.0, (256.0, 256.0))
@@ -136,19 +136,19 @@ def test_a_plain_torso_is_not_followed() -> None:
     assert TorsoTracker().motion(grey, mask, np.array([[100.0, 50.0], [150.0, 110.0]])) is None
 
 
-def test_neck_turns_put_a_resting_torso_back_in_the_room() -> None:
-    """The head nods about the lower joint's neighbourhood; skinned by the two joints, the torso stays where it was."""
+def test_neck_motion_puts_a_resting_torso_back_in_the_room() -> None:
+    """The head nods, shifts and comes nearer; skinned by the two joints, the torso stays where it was."""
     pivots = TorsoPivots(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
     rest = Poses(np.tile(FACING.as_matrix(), (6, 1, 1)), np.tile([0.0, 0.0, 1.0], (6, 1)))
     nod = Rotation.from_euler("x", np.linspace(-20, 20, 6)[:, None], degrees=True)
-    turned = (FACING * nod).as_matrix()
-    shift = rest.translations + np.einsum("ij,nj->ni", FACING.as_matrix(), pivots.lower - nod.apply(pivots.lower))
-    head = Poses(turned, shift)
-    upper, lower = neck_turns(rest, head, pivots)
-    point = np.array([0.1, -0.3, -0.02])
-    first = Rotation.from_rotvec(upper)
-    joint = pivots.upper + first.apply(pivots.lower - pivots.upper)
-    posed = joint + (first * Rotation.from_rotvec(lower)).apply(point - pivots.lower)
+    shift = np.linspace((-0.02, 0.01, 0.0), (0.01, -0.02, 0.03), 6)
+    head = Poses((FACING * nod).as_matrix(), rest.translations + shift)
+    neck = neck_motion(rest, head, pivots)
+    arm, point = pivots.lower - pivots.upper, np.array([0.1, -0.3, -0.02])
+    stretched = neck.stretch[:, None] * arm / np.linalg.norm(arm)
+    first = Rotation.from_rotvec(neck.upper)
+    joint = pivots.upper + first.apply(arm + stretched)
+    posed = joint + (first * Rotation.from_rotvec(neck.lower)).apply(point - pivots.lower)
     seen = np.einsum("tab,tb->ta", head.rotations, posed) + head.translations
     np.testing.assert_allclose(seen, np.tile(FACING.apply(point) + np.array([0, 0, 1]), (6, 1)), atol=1e-6)
 

@@ -71,7 +71,7 @@ def test_the_tracker_on_a_dozen_real_frames(bundle: Path, data_folder: Path, tmp
     options = dataclasses.replace(PrepOptions(Path("clip"), tmp_path), models=bundle.parent, offline=True)
     found = track(frames, [mask] * len(frames), 5.0, options)
     tracking, head = found.tracking, found.head
-    assert head.version == "tracked-1" and head.joint_names[:5] == ("root", "neck", "jaw", "left_eye", "right_eye")
+    assert head.version == "tracked-2" and head.joint_names[:5] == ("root", "neck", "jaw", "left_eye", "right_eye")
     assert tracking.expression.shape == (12, head.expression_basis.shape[2])
     assert tracking.joint_rotations.shape == (12, len(head.parents), 3)
     assert found.report["reprojection_px"]["median"] < 1.0

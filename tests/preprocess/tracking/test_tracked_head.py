@@ -55,7 +55,7 @@ def test_template_passes_through_the_neutral_landmarks(generic: GenericHead, neu
     head, _ = person
     missed = np.linalg.norm(generic.landmarks @ head.template.numpy() - neutral, axis=1)
     assert np.median(missed) < 0.0005 and np.percentile(missed, 95) < 0.002
-    assert head.version == "tracked-1"
+    assert head.version == "tracked-2"
     assert head.expression_basis.shape[2] == len(AXES) + 2
     np.testing.assert_allclose(head.skinning_weights.sum(dim=1).numpy(), 1, atol=1e-5)
 
