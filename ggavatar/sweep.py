@@ -7,8 +7,10 @@ does not stop the others.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -24,6 +26,7 @@ from ggavatar import registry
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, run_command
 from ggavatar.settings import nearest
 from ggavatar.sweep_backends import Backend, Job, LocalProcesses, Outcome, RayCluster, logged
+from ggavatar.sweep_budget import fitting_steps
 from ggavatar.version import answer_version
 
 
@@ -50,9 +53,11 @@ class Arguments:
     retries: int = 0
     """How often a cell that failed goes on from its last checkpoint; bad input is not tried again."""
     preset: str | None = None
-    """Passed to ggavatar-train, as the next five."""
+    """Passed to ggavatar-train, as the rest but --minutes and --train-only."""
     steps: int | None = None
     """Length of every training."""
+    minutes: float | None = None
+    """Wall time of every training instead: as many steps as fit, after a pilot of 100 steps beside each run."""
     split: str | None = None
     """Frames to train and test on."""
     device: str | None = None
@@ -75,6 +80,11 @@ class Cell:
     folder: Path
 
     @property
+    def has_begun(self) -> bool:
+        """Whether its run is there to go on with; its length is settled then."""
+        return (self.folder / "config.json").exists()
+
+    @property
     def is_finished(self) -> bool:
         """Whether its run has been trained to the end."""
         try:
@@ -90,9 +100,14 @@ class Cell:
     def command(self, flags: Sequence[str]) -> list[str]:
         """The ggavatar-train that trains it or goes on with it."""
         base = [console_script("ggavatar-train"), str(self.capture.resolve()), self.method, "-o", str(self.folder)]
-        if (self.folder / "config.json").exists():
+        if self.has_begun:
             return [*base, "--resume"]
         return [*base, "--seed", str(self.seed), *flags]
+
+    @property
+    def pilot(self) -> Cell:
+        """The short training that tells how long a step takes: the same in a folder beside."""
+        return dataclasses.replace(self, folder=self.folder.with_name(self.folder.name + "-pilot"))
 
 
 def main() -> int:
@@ -106,7 +121,7 @@ def sweep(arguments: Arguments) -> int:
     """Train what is missing, report what failed, and print the table; the exit code."""
     backend = backend_of(arguments)
     cells = grid(arguments)
-    outcomes = _train_all(cells, _flags(arguments), backend)
+    outcomes = _train_all(cells, _flags(arguments), arguments.minutes, backend)
     if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED
     trained = [cell.folder for cell in cells if cell.is_finished]
@@ -129,7 +144,7 @@ def backend_of(arguments: Arguments) -> Backend:
     return LocalProcesses(arguments.jobs, arguments.retries)
 
 
-def _train_all(cells: Sequence[Cell], flags: Sequence[str], backend: Backend) -> list[Outcome]:
+def _train_all(cells: Sequence[Cell], flags: Sequence[str], minutes: float | None, backend: Backend) -> list[Outcome]:
     """Train the cells that are not finished and say how each ended, as it ends."""
     missing = {}
     for cell in cells:
@@ -140,7 +155,7 @@ def _train_all(cells: Sequence[Cell], flags: Sequence[str], backend: Backend) ->
     sys.stdout.write(f"{len(missing)} of {len(cells)} cells to train\n")
     sys.stdout.flush()
     outcomes = []
-    jobs = [Job(name, functools.partial(train_cell, cell, tuple(flags))) for name, cell in missing.items()]
+    jobs = [Job(name, functools.partial(train_cell, cell, tuple(flags), minutes)) for name, cell in missing.items()]
     for outcome in backend.run(jobs) if jobs else ():
         outcomes.append(outcome)
         _tell(outcome, missing[outcome.job], len(outcomes), len(jobs))
@@ -180,7 +195,12 @@ def grid(arguments: Arguments) -> list[Cell]:
 
 
 def _flags(arguments: Arguments) -> list[str]:
-    """Flags for every ggavatar-train."""
+    """Flags for every ggavatar-train; `InputError` for a length given twice, or none that time can be."""
+    minutes = arguments.minutes
+    if minutes is not None and arguments.steps is not None:
+        raise InputError("expected --steps or --minutes, found both; leave one out")
+    if minutes is not None and not (math.isfinite(minutes) and minutes > 0):
+        raise InputError(f"expected --minutes above 0, found {minutes:g}; give the wall time of one training")
     flags: list[str] = []
     for name in ("preset", "steps", "split", "device", "max_gaussians"):
         value = getattr(arguments, name)
@@ -191,8 +211,20 @@ def _flags(arguments: Arguments) -> list[str]:
     return flags
 
 
-def train_cell(cell: Cell, flags: tuple[str, ...]) -> int:
-    """Train a cell, or go on with it, in a process of its own; its output goes to a log beside its folder."""
+def train_cell(cell: Cell, flags: tuple[str, ...], minutes: float | None = None) -> int:
+    """Train a cell, or go on with it, in a process of its own; its output goes to a log beside its folder.
+
+    Args:
+        cell: Which.
+        flags: For ggavatar-train.
+        minutes: Wall time that sets the length of a cell that has not begun, after a pilot on this same machine.
+    """
+    if minutes is not None and not cell.has_begun:
+        pilot = cell.pilot
+        found = fitting_steps(minutes, pilot.folder, lambda more: logged(pilot.command((*flags, *more)), cell.log))
+        if found.code:
+            return found.code
+        flags = (*flags, "--steps", str(found.steps))
     return logged(cell.command(flags), cell.log)
 
 
