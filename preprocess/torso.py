@@ -23,6 +23,8 @@ CORNERS = 120
 ENOUGH = 12
 FOLLOWED = 0.6
 """Share of frames in which the torso must have been followed for its motion to be believed."""
+STRETCHED = 0.03
+"""Most that a neck's length changes, m; beyond it the torso was not followed but lost (a cut, a drift)."""
 CUTOFF = 2.5
 """Fastest torso motion kept, Hz."""
 
@@ -152,7 +154,7 @@ class NeckMotion:
 
 
 def neck_motion(torso: Poses, head: Poses, pivots: TorsoPivots) -> NeckMotion:
-    """The motion of the neck that reaches the torso's pose exactly."""
+    """The motion of the neck that reaches the torso's pose, exactly where its length changes by `STRETCHED` at most."""
     relative = head.rotations.transpose(0, 2, 1) @ torso.rotations
     offset = np.einsum("tba,tb->ta", head.rotations, torso.translations - head.translations)
     reached = np.einsum("tab,b->ta", relative, pivots.lower) + offset
@@ -164,4 +166,4 @@ def neck_motion(torso: Poses, head: Poses, pivots: TorsoPivots) -> NeckMotion:
     angle = np.arctan2(sine[:, 0], wanted @ arm)
     upper = axis * (angle[:, None] / np.maximum(sine, 1e-9))
     lower = Rotation.from_rotvec(upper).inv() * Rotation.from_matrix(relative)
-    return NeckMotion(upper, lower.as_rotvec(), lengths - length)
+    return NeckMotion(upper, lower.as_rotvec(), np.clip(lengths - length, -STRETCHED, STRETCHED))

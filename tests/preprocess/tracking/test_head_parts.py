@@ -12,7 +12,7 @@ from preprocess.face_embedding import boundary_loops, closest_points
 from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
 from preprocess.rigid import Lens, Poses
 from preprocess.surface_extension import SurfaceExtension
-from preprocess.torso import TorsoPivots, TorsoTracker, neck_motion, torso_poses
+from preprocess.torso import STRETCHED, TorsoPivots, TorsoTracker, neck_motion, torso_poses
 from preprocess.tracked_head import similarity
 
 LENS = Lens(1000.0, (256.0, 256.0))
@@ -140,8 +140,8 @@ def test_neck_motion_puts_a_resting_torso_back_in_the_room() -> None:
     """The head nods, shifts and comes nearer; skinned by the two joints, the torso stays where it was."""
     pivots = TorsoPivots(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
     rest = Poses(np.tile(FACING.as_matrix(), (6, 1, 1)), np.tile([0.0, 0.0, 1.0], (6, 1)))
-    nod = Rotation.from_euler("x", np.linspace(-20, 20, 6)[:, None], degrees=True)
-    shift = np.linspace((-0.02, 0.01, 0.0), (0.01, -0.02, 0.03), 6)
+    nod = Rotation.from_euler("x", np.linspace(-6, 6, 6)[:, None], degrees=True)
+    shift = np.linspace((-0.01, 0.01, 0.0), (0.01, -0.01, 0.01), 6)
     head = Poses((FACING * nod).as_matrix(), rest.translations + shift)
     neck = neck_motion(rest, head, pivots)
     arm, point = pivots.lower - pivots.upper, np.array([0.1, -0.3, -0.02])
@@ -151,6 +151,13 @@ def test_neck_motion_puts_a_resting_torso_back_in_the_room() -> None:
     posed = joint + (first * Rotation.from_rotvec(neck.lower)).apply(point - pivots.lower)
     seen = np.einsum("tab,tb->ta", head.rotations, posed) + head.translations
     np.testing.assert_allclose(seen, np.tile(FACING.apply(point) + np.array([0, 0, 1]), (6, 1)), atol=1e-6)
+
+
+def test_a_torso_that_drifted_away_does_not_stretch_the_neck_for_ever() -> None:
+    pivots = TorsoPivots(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
+    head = Poses(np.tile(FACING.as_matrix(), (3, 1, 1)), np.tile([0.0, 0.0, 1.0], (3, 1)))
+    lost = Poses(head.rotations, head.translations + np.array([[0, 0.0, 0], [0, 0.5, 0], [0, -0.05, 0]]))
+    np.testing.assert_allclose(neck_motion(lost, head, pivots).stretch, [0.0, STRETCHED, -STRETCHED], atol=1e-6)
 
 
 def test_a_torso_never_seen_rests_in_the_room() -> None:
