@@ -25,6 +25,7 @@ from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
 from ggavatar.points.deformer import Features, PointDeformer
 from ggavatar.points.driving import Driver, Pose, canonical_drive, expression_coefficients
+from ggavatar.points.head_fitting import HeadSurface, fit_to_head
 from ggavatar.points.head_targets import HeadTargets
 from ggavatar.points.point_cloud import CloudSchedule, PointCloud
 from ggavatar.points.rowwise import rowwise
@@ -43,6 +44,9 @@ UNIT = 4.0
 PERCEPTUAL_SIZE = 224
 """Side that images are resized to for VGG, px."""
 
+FITTING_POINTS = 20_000
+"""Places on the head model that the networks are fitted at."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -52,6 +56,10 @@ class Config:
     """Points at first (authors' code)."""
     sphere: float = 0.5
     """Radius of the sphere they begin on, quarter metres (authors' code)."""
+    begin: Literal["sphere", "head"] = "sphere"
+    """Where they begin: on the sphere (authors' code), or on the head model in the canonical pose (ours)."""
+    fitting_steps: int = 0
+    """Steps in which the networks first learn the head model's distance and motion, without pictures; 0 (authors)."""
     radius_factor: float = 0.3
     """Radius of the discs of 100 points, normalised device coordinates (authors' code)."""
     max_points: int = 240_000
@@ -78,6 +86,14 @@ class Config:
     pose_on: Literal["camera", "neck"] = "camera"
     """What the head model's root joint follows: the head (the authors), or the torso, as in ggavatar (A12)."""
 
+    surface_width: int = 256
+    """Width of the canonical network's hidden layers (authors' code)."""
+    surface_layers: int = 9
+    """How many there are, more than four (authors' code)."""
+    surface_octaves: int = 6
+    """Octaves of its positional encoding (authors' code)."""
+    normals: Literal["jacobian", "joints"] = "jacobian"
+    """How normals move: by the Jacobian of the whole motion (authors), or with the joints alone (ours, a quarter)."""
     hidden_type: Literal["float32", "fastest"] = "float32"
     """Hidden layers of the canonical network: float32 (code), or bfloat16 on a CPU with instructions for it (ours)."""
 
@@ -117,7 +133,20 @@ SHORT: dict[str, Any] = {
 }
 """What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT | {"max_points": 10_000}, "paper": {}}
+FAST: dict[str, Any] = SHORT | {
+    "points": 4_000,
+    "begin": "head",
+    "fitting_steps": 200,
+    "radius_factor": 0.2,
+    "max_points": 10_000,
+    "surface_width": 128,
+    "surface_layers": 6,
+    "surface_octaves": 7,
+    "normals": "joints",
+}
+"""What a training of a few minutes changes besides."""
+
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": FAST, "paper": {}}
 
 
 def build(config: Config, scene: Scene) -> PointAvatar:
@@ -151,9 +180,13 @@ class PointAvatar(nn.Module):
         self.driver = Driver(self.head, canonical, poses, UNIT, config.pose_on == "neck")
         coefficients = torch.stack([expression_coefficients(drive) for drive in drives])
         self.targets = HeadTargets.of(self.head, canonical, coefficients, UNIT)
-        self.cloud = PointCloud(config.points, config.sphere, config.radius_factor, config.rate, self._random(1))
+        self.canonical = canonical
+        self.cloud = PointCloud(
+            config.points, config.sphere, config.radius_factor, config.rate, self._random(1), self._start()
+        )
         hidden_type = product_type(scene.background.device) if config.hidden_type == "fastest" else None
-        self.surface = CanonicalNetwork(CanonicalConfig(), self._random(2), hidden_type)
+        sizes = CanonicalConfig(config.surface_width, config.surface_layers, octaves=config.surface_octaves)
+        self.surface = CanonicalNetwork(sizes, self._random(2), hidden_type)
         shapes = len(self.targets.blendshapes[0])
         self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._random(3))
         self.shading = ShadingNetwork(self._random(4))
@@ -221,13 +254,33 @@ class PointAvatar(nn.Module):
         self.steps_done.fill_(step)
 
     def train(self, mode: bool = True) -> PointAvatar:
-        """Switch between training and evaluation; evaluation keeps what does not depend on the drive."""
+        """Switch between training and evaluation, which keeps what no drive changes; fit before step 1."""
         self._kept = None
+        if mode and self.config.fitting_steps and not int(self.steps_done):
+            self._fit()
         return super().train(mode)
 
     def notes(self) -> dict[str, str]:
         """What a reader of the results must know: features of the perceptual loss, and the radius of the discs."""
         return self.perceptual.notes() | {"disc_radius": f"{float(self.cloud.radius):.5f} of half the shorter side"}
+
+    def _start(self) -> Tensor | None:
+        """The first points, if they are not to lie on a sphere."""
+        if self.config.begin == "sphere":
+            return None
+        return HeadSurface.of(self.head, self.canonical, UNIT, self.config.points, self._random(1)).points
+
+    def _fit(self) -> None:
+        """Let the networks learn the head model."""
+        random = self._random(8)
+        surface = HeadSurface.of(self.head, self.canonical, UNIT, FITTING_POINTS, random)
+        fit_to_head((self.surface, self.deformer), surface, self.targets, self.config.fitting_steps, random)
+
+    def _features(self, points: Tensor) -> Features:
+        """What moves points, with or without derivatives."""
+        if self.config.normals == "joints":
+            return self.deformer.features_alone(points)
+        return self.deformer.features(points)
 
     def _canonical(self) -> Canonical:
         """The surface at all points and, for as long as nothing learns, the features of their motion."""
@@ -236,13 +289,13 @@ class PointAvatar(nn.Module):
             self._looked_at = self.surface(points)
             return Canonical(self._looked_at, None)
         if self._kept is None or self.training:
-            self._kept = Canonical(self.surface(points), self.deformer.features(points))
+            self._kept = Canonical(self.surface(points), self._features(points))
         return self._kept
 
     def _pose_rows(self, rows: Sequence[Tensor], shared: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Posed points and their colours, from points, gradients of the distance and albedo."""
         points, gradient, albedo = rows
-        canonical = Canonical(Surface(albedo[:, 0], gradient, albedo), self.deformer.features(points))
+        canonical = Canonical(Surface(albedo[:, 0], gradient, albedo), self._features(points))
         return self._posed(points, canonical, Pose(*shared))
 
     def _posed(self, points: Tensor, canonical: Canonical, pose: Pose) -> tuple[Tensor, Tensor]:

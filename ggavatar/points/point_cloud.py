@@ -43,17 +43,25 @@ class PointCloud(nn.Module):
         radius_factor: Radius of the discs of 100 points, normalised device coordinates.
         rate: Learning rate of the positions.
         generator: Draws the first points.
+        start: The first points themselves, [count, 3], instead of a sphere.
     """
 
     radius: Tensor
 
     def __init__(
-        self, count: int, sphere: float, radius_factor: float, rate: float, generator: torch.Generator
+        self,
+        count: int,
+        sphere: float,
+        radius_factor: float,
+        rate: float,
+        generator: torch.Generator,
+        start: Tensor | None = None,
     ) -> None:
         super().__init__()
-        directions = normalize(2 * torch.rand(count, 3, generator=generator) - 1, dim=1)
+        if start is None:
+            start = sphere * normalize(2 * torch.rand(count, 3, generator=generator) - 1, dim=1)
         shown = torch.zeros(count, dtype=torch.bool)
-        self.rows = Rows({"points": Column(sphere * directions, rate)}, {"shown": shown}, _adam)
+        self.rows = Rows({"points": Column(start, rate)}, {"shown": shown}, _adam)
         first = radius_factor * SHRINKING ** torch.log2(torch.tensor(count / 100, dtype=torch.float64))
         self.register_buffer("radius", first)
 
