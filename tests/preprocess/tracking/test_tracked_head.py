@@ -13,10 +13,10 @@ from ggavatar.capture import Tracking
 from ggavatar.head.model import HeadModel
 from preprocess import face_topology as topology
 from preprocess.expression_axes import AXES
-from preprocess.generic_head import GenericHead, generic_head
+from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.posing import posed_vertices, project, silhouette
 from preprocess.silhouette_fit import Outlines, fit_outline, outline_overlap
-from preprocess.tracked_head import PersonalShape, assemble, fit_shape, lid_axes
+from preprocess.tracked_head import NECK_UNIT, PersonalShape, assemble, fit_shape, lid_axes
 
 pytestmark = pytest.mark.weights
 
@@ -56,16 +56,31 @@ def test_template_passes_through_the_neutral_landmarks(generic: GenericHead, neu
     missed = np.linalg.norm(generic.landmarks @ head.template.numpy() - neutral, axis=1)
     assert np.median(missed) < 0.0005 and np.percentile(missed, 95) < 0.002
     assert head.version == "tracked-2"
-    assert head.expression_basis.shape[2] == len(AXES) + 2
+    assert head.expression_basis.shape[2] == len(AXES) + 2 + 1, "named, own, the neck's length"
     np.testing.assert_allclose(head.skinning_weights.sum(dim=1).numpy(), 1, atol=1e-5)
 
 
-def test_joints_are_where_the_shape_says_and_no_expression_moves_them(person) -> None:
+def test_joints_are_where_the_shape_says_and_no_facial_expression_moves_them(person) -> None:
     head, shape = person
     rest = (head.joint_regressor @ head.template).numpy()
     np.testing.assert_allclose(rest, shape.joints, atol=1e-5)
     moved = torch.einsum("jv,vxe->jxe", head.joint_regressor, head.expression_basis)
-    assert float(moved.abs().max()) < 2e-4
+    assert float(moved[..., :-1].abs().max()) < 2e-4
+
+
+def test_a_longer_neck_lowers_the_torso_with_its_joint_and_nothing_of_the_head(generic: GenericHead, person) -> None:
+    head, shape = person
+    arm = shape.joints[JOINT_NAMES.index("torso")] - shape.joints[JOINT_NAMES.index("cervical")]
+    down = NECK_UNIT * arm / np.linalg.norm(arm)
+    axis = head.expression_basis[:, :, -1].numpy()
+    torso_alone = head.skinning_weights[:, head.joint("torso")].numpy() > 0.999
+    assert torso_alone.sum() > 100
+    np.testing.assert_allclose(axis[torso_alone], np.tile(down, (torso_alone.sum(), 1)), atol=1e-5)
+    assert np.abs(axis[generic.regions["face"]]).max() < 0.02 * NECK_UNIT, "the chin's underside belongs to both"
+    moved = head.joint_regressor.numpy() @ axis
+    np.testing.assert_allclose(moved[head.joint("torso")], down, atol=0.05 * NECK_UNIT)
+    for name in ("neck", "jaw", "left_eye", "right_eye", "cervical"):
+        assert np.abs(moved[head.joint(name)]).max() < 2e-4, name
 
 
 def test_closed_lids_meet(generic: GenericHead, person) -> None:
