@@ -124,7 +124,14 @@ class FoundCamera:
 
 
 def find_camera(clip: Clip, face: CanonicalFace, focal: float | None, smooth: bool) -> FoundCamera:
-    """Focal length, head poses and neutral landmarks; see `fit_clip` for the arguments."""
+    """Focal length, head poses and neutral landmarks.
+
+    Args:
+        clip: Landmarks.
+        face: Canonical face.
+        focal: Known focal length, px; None finds it.
+        smooth: Smooth head poses over time.
+    """
     trust = rigidity(face) * anchoring(face)
     found, lens = _start(clip, face, trust, focal)
     width = float(lens.focal * FACE_WIDTH / np.median(found.translations[:, 2]))
@@ -139,25 +146,16 @@ def find_camera(clip: Clip, face: CanonicalFace, focal: float | None, smooth: bo
     return FoundCamera(camera, neutral, adjusted.focal_spread, width, smoothness)
 
 
-def fit_clip(
-    clip: Clip,
-    face: CanonicalFace,
-    generic: GenericHead,
-    own: int,
-    focal: float | None = None,
-    smooth: bool = True,
-) -> ClipFit:
-    """Fit everything that landmarks tell about a clip.
+def learn_face(clip: Clip, face: CanonicalFace, generic: GenericHead, own: int, found: FoundCamera) -> ClipFit:
+    """Fit everything that landmarks tell about the face, given the head's poses.
 
     Args:
         clip: Landmarks.
         face: Canonical face.
         generic: Generic head.
         own: How many axes of its own the subject gets.
-        focal: Known focal length, px; None finds it.
-        smooth: Smooth head poses over time.
+        found: Camera and poses.
     """
-    found = find_camera(clip, face, focal, smooth)
     exact = clip.observations(np.maximum(rigidity(face), 0.3), OWN_ERROR * found.width)
     shape = fit_shape(generic, found.neutral)
     fit = _learn(clip, exact, found.camera, generic, found.neutral, shape, own)

@@ -176,14 +176,14 @@ def refine_poses(
         iterations: At most this many.
     """
     for _ in range(iterations):
-        steps = _smooth_steps(*_pose_information(observed, shape, lens, poses), poses, smoothness)
+        steps = smooth_steps(*pose_information(observed, shape, lens, poses), poses, smoothness)
         poses = poses.moved(steps)
         if np.abs(steps).max() < 1e-5:
             break
     return poses
 
 
-def _pose_information(
+def pose_information(
     observed: Observations, shape: np.ndarray, lens: Lens, poses: Poses
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information matrix and gradient of every frame's pose, a part of the clip at a time to bound memory."""
@@ -203,7 +203,7 @@ def _pose_information(
     return information, gradient
 
 
-def _smooth_steps(information: np.ndarray, gradient: np.ndarray, poses: Poses, smoothness: float) -> np.ndarray:
+def smooth_steps(information: np.ndarray, gradient: np.ndarray, poses: Poses, smoothness: float) -> np.ndarray:
     """Solve for the steps of all frames, with second differences of the moved poses penalised (a banded system)."""
     count = len(information)
     typical = np.median(information, axis=0)

@@ -141,7 +141,7 @@ def _pulls(
     within = ((pixels > 1) & (pixels < [width - 1, height - 1])).all(axis=1)
     places = np.clip(places, 0, np.array(depth.shape[::-1]) - 1)
     to_edge = cv2.distanceTransform(covered.astype(np.uint8), cv2.DIST_L2, 5)[places[:, 1], places[:, 0]]
-    normals = _normals(vertices, faces) @ pose[:3, :3].T
+    normals = vertex_normals(vertices, faces) @ pose[:3, :3].T
     flat = np.linalg.norm(normals[:, :2], axis=1)
     rows = np.flatnonzero(within & (to_edge < NEAR_OUTLINE) & (flat > 0.6))
     wanted = depth[places[rows, 1], places[rows, 0]] - to_edge[rows]
@@ -153,7 +153,7 @@ def _pulls(
     return rows, 0.7 * metres[:, None] * outward @ pose[:3, :3]
 
 
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit vertex normals."""
     corners = vertices[faces]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -17,18 +17,27 @@ from ggavatar.face.bundle import CanonicalFace, canonical_face
 from ggavatar.face.drawn_face import drawn_face
 from ggavatar.face.landmarks import LandmarkTracker
 from ggavatar.face.networks import FaceFiles
+from ggavatar.head.model import HeadModel
 from preprocess import models
-from preprocess.clip_fit import Clip, ClipFit, fit_clip, reprojection
+from preprocess.clip_fit import Clip, ClipFit, FoundCamera, find_camera, learn_face, reprojection
 from preprocess.expression_axes import AXES, score
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_tracking import track_flame
 from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.in_order import in_order
-from preprocess.options import PrepOptions
+from preprocess.options import PrepOptions, TrackingOptions
+from preprocess.outline_poses import Edges, Evidence, Scalp, outline_distances, reduced_distances, settle
 from preprocess.rigid import nearest_true
 from preprocess.sequence import TrackedSequence
-from preprocess.silhouette_fit import Outlines, chosen_rows, fit_outline, outline_overlap, reduce_mask
+from preprocess.silhouette_fit import (
+    Outlines,
+    chosen_rows,
+    fit_outline,
+    outline_overlap,
+    reduce_mask,
+    vertex_normals,
+)
 from preprocess.smoothing import penalty, pose_jitter, smooth
 from preprocess.torso import TorsoPivots, TorsoTracker, neck_motion, torso_poses
 from preprocess.tracked_head import NECK_UNIT, assemble, move_eyes
@@ -52,11 +61,13 @@ class Watched:
         clip: Landmarks.
         torso: Similarity of the torso from the first frame to each, px; None where it could not be followed.
         outlines: Masks of a few frames.
+        edges: Outlines of all frames, more coarsely.
     """
 
     clip: Clip
     torso: list[np.ndarray | None]
     outlines: Outlines
+    edges: Edges
 
 
 def track(
@@ -102,7 +113,7 @@ def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]
 
 def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
     """Landmarks and torso motion of every frame, holding a few pictures at a time."""
-    torso, points, scores, motions, kept = TorsoTracker(), [], [], [], []
+    torso, points, scores, motions, kept, distances = TorsoTracker(), [], [], [], [], []
     rows, size = chosen_rows(len(images)), (0, 0)
     pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
     for index, (image, mask) in enumerate(pictures):
@@ -111,6 +122,7 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
         points.append(None if found is None else found.points)
         scores.append(np.zeros(52) if found is None else found.blendshapes)
         motions.append(torso.motion(image, mask, points[-1]))
+        distances.append(reduced_distances(mask))
         if index in rows:
             kept.append(reduce_mask(mask))
     seen = np.array([here is not None for here in points])
@@ -122,16 +134,31 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
     nearest = nearest_true(seen)
     filled = np.stack([points[index] for index in nearest])
     clip = Clip(filled, np.stack(scores)[nearest].astype(np.float64), seen, size, fps)
-    return Watched(clip, motions, Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0]))
+    edges = Edges(np.stack(distances), distances[0].shape[1] / size[0])
+    return Watched(clip, motions, Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0]), edges)
 
 
 def track_landmarks(
     watched: Watched, face: CanonicalFace, generic: GenericHead, options: PrepOptions
 ) -> TrackedSequence:
     """Everything after the pictures have been looked at."""
-    settings, clip = options.tracker, watched.clip
-    own = max(0, settings.expressions - len(AXES))
-    fit = fit_clip(clip, face, generic, own, settings.focal, settings.smooth)
+    settings = options.tracker
+    found = find_camera(watched.clip, face, settings.focal, settings.smooth)
+    fit, sequence = _with_face(watched, face, generic, settings, found)
+    evidence = _evidence(watched, fit, sequence.head, found)
+    poses = settle(evidence, found.camera.poses, found.smoothness)
+    settled = dataclasses.replace(found, camera=dataclasses.replace(found.camera, poses=poses))
+    _, sequence = _with_face(watched, face, generic, settings, settled)
+    distances = (float(np.median(outline_distances(evidence, here))) for here in (found.camera.poses, poses))
+    told = dict(zip(("by_landmarks", "settled"), (round(value, 2) for value in distances), strict=True))
+    return dataclasses.replace(sequence, report={**sequence.report, "scalp_to_outline_px": told})
+
+
+def _with_face(
+    watched: Watched, face: CanonicalFace, generic: GenericHead, settings: TrackingOptions, found: FoundCamera
+) -> tuple[ClipFit, TrackedSequence]:
+    """Expressions, gaze and torso for given poses, and the head that they move."""
+    fit = learn_face(watched.clip, face, generic, max(0, settings.expressions - len(AXES)), found)
     fit = _with_gaze_centered(watched, fit, generic)
     axes = fit.model.axes
     parts = (axes[:, :, : len(AXES)], axes[:, :, len(AXES) : -2], axes[:, :, -2:])
@@ -140,7 +167,16 @@ def track_landmarks(
     template = fit_outline(head, generic, tracking, watched.outlines)
     head = assemble(generic, dataclasses.replace(fit.shape, vertices=template), *parts)
     report = _report(watched, fit) | {"outline_overlap": round(outline_overlap(head, tracking, watched.outlines), 3)}
-    return TrackedSequence(tracking, head, report)
+    return fit, TrackedSequence(tracking, head, report)
+
+
+def _evidence(watched: Watched, fit: ClipFit, head: HeadModel, found: FoundCamera) -> Evidence:
+    """What decides on poses, once there is a head with an outline; no expression moves its scalp."""
+    shapes = fit.model.shapes(fit.motion.coefficients, fit.motion.jaw)
+    seen = watched.clip.observations(np.ones(shapes.shape[1]), 1.0)
+    template, rows = head.template.numpy().astype(np.float64), head.regions["scalp"].numpy()
+    scalp = Scalp(template[rows], vertex_normals(template, head.faces.numpy())[rows])
+    return Evidence(watched.edges, scalp, seen, shapes, found.camera.lens, found.width)
 
 
 def _with_gaze_centered(watched: Watched, fit: ClipFit, generic: GenericHead) -> ClipFit:

@@ -1,0 +1,194 @@
+"""Head poses that the hair agrees with.
+
+Landmarks alone are misled where a grimace looks like a turn of the head, and hide a part of every nod; the outline of
+the scalp is not. Both are weighed against each other. Edges far from the scalp (hair that moves by itself, things worn)
+hardly count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int8, UInt8
+
+from preprocess.rigid import (
+    CHUNK,
+    Lens,
+    Observations,
+    Poses,
+    pose_information,
+    pose_slopes,
+    project,
+    projection_slopes,
+    smooth_steps,
+)
+
+WIDTH = 128
+"""Masks are kept at this width, px."""
+STEPS = 8
+"""Kept distances are counted in such parts of a reduced pixel."""
+FARTHEST = 16.0
+"""Distances end here, reduced px; where they do, the outline is another thing's."""
+DIRECTIONS = 36
+"""The outline is the farthest vertex of the scalp in each of so many directions around its middle."""
+UPPER = np.radians(100)
+"""How far from upright these directions go: below is no hair's edge but the face's and the neck's."""
+FLAT = 0.6
+"""Least share of a normal that lies in the image, for its vertex to be on the outline."""
+LANDMARK_ERROR, OUTLINE_ERROR = 0.020, 0.010
+"""Over the face's width, px: of landmarks in a grimace, which err together, and of the hair's edge."""
+LANDMARKS_COUNT, OUTLINE_COUNT = 20.0, 12.0
+"""As many independent landmarks, and places of the outline, as all of them are worth."""
+ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Where every frame's outline is.
+
+    Attributes:
+        distances: Signed distance to it in 1/8 px of the reduced mask, positive inside, up to `FARTHEST`.
+        scale: Of the reduced masks against the capture's images.
+    """
+
+    distances: Int8[np.ndarray, "T H W"]
+    scale: float
+
+
+def reduced_distances(mask: UInt8[np.ndarray, "H W"]) -> Int8[np.ndarray, "h w"]:
+    """One frame's distances for `Edges`; the picture's own edge is no outline."""
+    height = round(mask.shape[0] * WIDTH / mask.shape[1])
+    inside = (cv2.resize(mask, (WIDTH, height), interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
+    signed = cv2.distanceTransform(inside, cv2.DIST_L2, 5) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 5)
+    halfway = np.clip(signed, -FARTHEST, FARTHEST) - 0.5 * np.sign(signed)  # the edge lies between two pixels
+    return np.round(STEPS * halfway).astype(np.int8)
+
+
+@dataclass(frozen=True)
+class Scalp:
+    """Vertices of the scalp, m, and their unit normals, in head space."""
+
+    points: Float[np.ndarray, "V 3"]
+    normals: Float[np.ndarray, "V 3"]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What there is to decide on poses.
+
+    Attributes:
+        edges: Outlines of the masks.
+        scalp: The head's scalp.
+        landmarks: Observed landmarks; weights say only whether a face was seen.
+        shapes: Landmarks in head space as the fitted expressions put them, m.
+        lens: Camera.
+        width: Of the face in the image, px.
+    """
+
+    edges: Edges
+    scalp: Scalp
+    landmarks: Observations
+    shapes: Float[np.ndarray, "T N 3"]
+    lens: Lens
+    width: float
+
+
+def settle(evidence: Evidence, poses: Poses, smoothness: float) -> Poses:
+    """Poses between landmarks and outline.
+
+    Args:
+        evidence: Landmarks and outline.
+        poses: Those that landmarks alone gave.
+        smoothness: Penalty on second differences; see `rigid.refine_poses`.
+    """
+    count = evidence.shapes.shape[1]
+    seen = evidence.landmarks.weights.max(axis=1, keepdims=True) > 0
+    each = LANDMARKS_COUNT / count / (LANDMARK_ERROR * evidence.width) ** 2
+    landmarks = Observations(evidence.landmarks.points, np.where(seen, each, 0.0) * np.ones((1, count)))
+    for _ in range(ROUNDS):
+        information, gradient = pose_information(landmarks, evidence.shapes, evidence.lens, poses)
+        further, pull, _ = _outline_information(evidence, poses)
+        poses = poses.moved(smooth_steps(information + further, gradient + pull, poses, smoothness))
+    return poses
+
+
+def outline_distances(evidence: Evidence, poses: Poses) -> Float[np.ndarray, " T"]:
+    """Root mean square distance of the scalp from the outline in every frame, px."""
+    return _outline_information(evidence, poses)[2]
+
+
+def _outline_information(
+    evidence: Evidence, poses: Poses
+) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"], Float[np.ndarray, " T"]]:
+    """Information and gradient of every frame's pose, and the root mean square distance of its outline, px."""
+    parts = [
+        _chunk_information(evidence, poses, slice(first, first + CHUNK))
+        for first in range(0, len(poses.rotations), CHUNK)
+    ]
+    information, gradient, distances = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return information, gradient, distances
+
+
+def _chunk_information(evidence: Evidence, poses: Poses, chosen: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    here, lens, scalp = poses[chosen], evidence.lens, evidence.scalp
+    seen = here.to_camera(scalp.points[None])
+    pixels, normals = project(seen, lens), scalp.normals @ here.rotations.transpose(0, 2, 1)
+    flat = np.linalg.norm(normals[..., :2], axis=-1)
+    rows = farthest(pixels, here)
+    frames = np.arange(len(rows))[:, None]
+    pixels, flat, outward = pixels[frames, rows], flat[frames, rows], normals[frames, rows, :2]
+    outward = outward / np.maximum(flat, 1e-9)[..., None]
+    distances, known = sampled(evidence.edges, chosen, pixels)
+    error = OUTLINE_ERROR * evidence.width
+    known &= (flat > FLAT) & (rows >= 0)
+    weights = known / (1 + (distances / (3 * error)) ** 2) ** 2 / error**2
+    weights *= OUTLINE_COUNT / np.maximum(known.sum(axis=1, keepdims=True), OUTLINE_COUNT)
+    places = seen[frames, rows]
+    slopes = pose_slopes(places, here, projection_slopes(places, lens.focal))
+    along = np.einsum("tvi,tvia->tva", outward, slopes)
+    weighted = along * weights[..., None]
+    mean = (known * distances**2).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return (
+        weighted.transpose(0, 2, 1) @ along,
+        np.einsum("tva,tv->ta", weighted, distances),
+        np.sqrt(mean),
+    )
+
+
+def farthest(pixels: Float[np.ndarray, "T V 2"], poses: Poses) -> np.ndarray:
+    """For every frame and direction the vertex that lies farthest out; −1 where a direction holds none.
+
+    Directions are counted from the head's own upright in the image.
+    """
+    arms = pixels - pixels.mean(axis=1, keepdims=True)
+    upright = np.arctan2(poses.rotations[:, 0, 1], -poses.rotations[:, 1, 1])[:, None]
+    angle = np.arctan2(arms[..., 0], -arms[..., 1]) - upright
+    angle = (angle + np.pi) % (2 * np.pi) - np.pi
+    direction = np.floor((angle + UPPER) / (2 * UPPER) * DIRECTIONS).astype(int)
+    reach = np.linalg.norm(arms, axis=-1)
+    result = np.full((len(pixels), DIRECTIONS), -1)
+    for number in range(DIRECTIONS):
+        there = np.where(direction == number, reach, -1.0)
+        best = there.argmax(axis=1)
+        result[:, number] = np.where(there[np.arange(len(there)), best] >= 0, best, -1)
+    return result
+
+
+def sampled(
+    edges: Edges, chosen: slice, pixels: Float[np.ndarray, "T V 2"]
+) -> tuple[Float[np.ndarray, "T V"], np.ndarray]:
+    """Signed distances to the outline at image positions, px, and whether they are known (in the picture, and near)."""
+    maps = edges.distances[chosen]
+    height, width = maps.shape[1:]
+    places = pixels * edges.scale - 0.5
+    corner = np.floor(places).astype(int)
+    within = ((corner >= 0) & (corner < [width - 1, height - 1])).all(axis=-1)
+    x, y = np.clip(corner[..., 0], 0, width - 2), np.clip(corner[..., 1], 0, height - 2)
+    u, v = places[..., 0] - x, places[..., 1] - y
+    frames = np.arange(len(maps))[:, None]
+    upper = (1 - u) * maps[frames, y, x] + u * maps[frames, y, x + 1]
+    lower = (1 - u) * maps[frames, y + 1, x] + u * maps[frames, y + 1, x + 1]
+    value = (1 - v) * upper + v * lower
+    return value / STEPS / edges.scale, within & (np.abs(value) < STEPS * (FARTHEST - 1))
