@@ -153,11 +153,13 @@ def drives_and_cameras(
         for values in (tracking.expression, tracking.joint_rotations, tracking.eyelids, tracking.translation)
     ]
     intrinsics, views = tensor(tracking.intrinsics), tensor(tracking.world_to_camera)
+    torso = None if tracking.torso_to_camera is None else tensor(tracking.torso_to_camera)
     drives, cameras = [], []
     for row, number in enumerate(capture.frames):
         expression, joints, eyelids, translation = (column[row] for column in columns)
         pose = views[row] @ head_pose(head, joints, translation)
-        drives.append(Drive(expression, joints, eyelids, translation, pose, number))
+        torso_pose = None if torso is None else torso[row]
+        drives.append(Drive(expression, joints, eyelids, translation, pose, number, torso_pose))
         cameras.append(Camera(intrinsics[row], views[row], capture.width, capture.height))
     return drives, cameras
 

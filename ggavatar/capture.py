@@ -44,6 +44,7 @@ class Tracking:
         translation: Of the posed head, m.
         shape: Identity coefficients, for exports only; identity is folded into the head.
         landmarks: px; NaN where nothing was detected.
+        torso_to_camera: Rigid pose of the torso, that of the head when both are at rest.
     """
 
     intrinsics: Float[np.ndarray, "T 3 3"]
@@ -54,6 +55,7 @@ class Tracking:
     translation: Float[np.ndarray, "T 3"]
     shape: Float[np.ndarray, " S"] | None = None
     landmarks: Float[np.ndarray, "T L 2"] | None = None
+    torso_to_camera: Float[np.ndarray, "T 4 4"] | None = None
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by their names in tracking.npz."""

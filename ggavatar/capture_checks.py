@@ -31,8 +31,9 @@ _TRACKING_SHAPES: dict[str, tuple[int | str, ...]] = {
     "translation": ("T", 3),
     "shape": ("S",),
     "landmarks": ("T", "L", 2),
+    "torso_to_camera": ("T", 4, 4),
 }
-_TRACKING_OPTIONAL = frozenset({"shape", "landmarks"})
+_TRACKING_OPTIONAL = frozenset({"shape", "landmarks", "torso_to_camera"})
 _HEAD_SHAPES: dict[str, tuple[int | str, ...]] = {
     "template": ("V", 3),
     "faces": ("F", 3),
@@ -200,7 +201,8 @@ def check_tracking(path: Path, arrays: Mapping[str, np.ndarray], count: int) -> 
                 f"{path}: {name!r} holds NaN or infinity, first in {where}; drop that frame or track the video again"
             )
     _check_intrinsics(path, arrays["intrinsics"])
-    _check_rigid(path, arrays["world_to_camera"])
+    for name in {"world_to_camera", "torso_to_camera"} & set(arrays):
+        _check_rigid(path, name, arrays[name])
 
 
 def _check_intrinsics(path: Path, intrinsics: np.ndarray) -> None:
@@ -217,7 +219,7 @@ def _check_intrinsics(path: Path, intrinsics: np.ndarray) -> None:
         )
 
 
-def _check_rigid(path: Path, poses: np.ndarray) -> None:
+def _check_rigid(path: Path, name: str, poses: np.ndarray) -> None:
     rotation = poses[:, :3, :3].astype(np.float64)
     skewed = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > 1e-3
     mirrored = np.linalg.det(rotation) < 0
@@ -230,7 +232,7 @@ def _check_rigid(path: Path, poses: np.ndarray) -> None:
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             raise InputError(
-                f"{path}: 'world_to_camera' row {row} is not a rigid transform: it {what}; import the tracking "
+                f"{path}: {name!r} row {row} is not a rigid transform: it {what}; import the tracking "
                 "again with ggavatar-prep"
             )
 

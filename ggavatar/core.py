@@ -50,6 +50,8 @@ class Drive:
         head_to_camera: Rigid pose of the head seen from the camera. With a tracker that puts the head pose into the
             camera this is `world_to_camera`; methods that need the pose as a condition read it here.
         frame: Source frame number, or None for a drive that no frame was trained on.
+        torso_to_camera: Rigid pose of the torso seen from the camera, that of the head when both are at rest; None
+            where nobody followed it.
     """
 
     expression: Float[Tensor, " E"]
@@ -58,6 +60,7 @@ class Drive:
     translation: Float[Tensor, "3"]
     head_to_camera: Float[Tensor, "4 4"]
     frame: int | None = None
+    torso_to_camera: Float[Tensor, "4 4"] | None = None
 
 
 @dataclass(frozen=True)

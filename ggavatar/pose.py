@@ -60,15 +60,20 @@ class HeadPoses:
         middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
         return ((raw - middle) / half.clamp_min(1e-4)).clamp(-1, 1)
 
+    def torso(self, drive: Drive) -> Float[Tensor, "4 4"]:
+        """Rigid motion of the torso in head space: to where it was followed, or to its rest before the camera."""
+        seen = self.reference if drive.torso_to_camera is None else drive.torso_to_camera
+        return invert_rigid(drive.head_to_camera) @ seen
+
     def hold_torso(self, vertices: Float[Tensor, "V 3"], drive: Drive, head: HeadModel) -> Float[Tensor, "V 3"]:
-        """Vertices in head space, m, with what hangs on the root joint held still before the camera.
+        """Vertices in head space, m, with what hangs on the root joint held where the torso is before the camera.
 
         This is linear blend skinning by the neck with the head as the fixed end. Where the tracker turns root or neck
         itself, skinning has done so already and nothing changes.
         """
         if not self.in_camera:
             return vertices
-        torso = invert_rigid(drive.head_to_camera) @ self.reference
+        torso = self.torso(drive)
         moved = vertices @ torso[:3, :3].T + torso[:3, 3]
         return torch.lerp(vertices, moved, head.skinning_weights[:, head.joint("root"), None])
 

@@ -7,6 +7,7 @@ memorise frames.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from ggavatar.capture import Tracking
+from ggavatar.head.model import HeadModel
+from preprocess.in_order import in_order
+from preprocess.posing import posed_vertices, project
 from preprocess.rigid import Lens, Poses
 from preprocess.smoothing import penalty, smooth
 
@@ -25,6 +30,8 @@ FOLLOWED = 0.6
 """Share of frames in which the torso must have been followed for its motion to be believed."""
 STRETCHED = 0.03
 """Most that a neck's length changes, m; beyond it the torso was not followed but lost (a cut, a drift)."""
+FACE_DEPTH = 0.07
+"""How far behind the tip of the nose the face reaches, m."""
 CUTOFF = 2.5
 """Fastest torso motion kept, Hz."""
 
@@ -117,6 +124,42 @@ def torso_poses(motions: list[np.ndarray | None], poses: Poses, lens: Lens, fps:
     parts = smooth(parts, seen.astype(float), penalty(CUTOFF, fps))
     turns = Rotation.from_rotvec(parts[:, 3:] * [0.0, 0.0, 1.0]).as_matrix()
     return Poses(turns @ rest.rotations, rest.translations + parts[:, :3])
+
+
+def followed_torso(
+    head: HeadModel,
+    tracking: Tracking,
+    images: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    fps: float,
+) -> Float[np.ndarray, "T 4 4"] | None:
+    """Torso-to-camera poses beside another tracker's head, or None where there is nothing to follow or no use for it.
+
+    Args:
+        head: Head model; what hangs on its root joint is the torso.
+        tracking: With the head pose in the camera; a tracker that turns root or neck places the torso by itself.
+        images: 8-bit RGB frames; each is asked for once, by several threads.
+        masks: 8-bit foreground, 255 = person; the same.
+        fps: Frames a second.
+    """
+    carried = [head.joint(name) for name in ("root", "neck") if name in head.joint_names]
+    hung = head.skinning_weights[:, head.joint("root")].numpy()
+    if tracking.joint_rotations[:, carried].any() or not (hung > 0.5).any():
+        return None
+    depth = np.where(hung < 0.01, head.template[:, 2].numpy(), -np.inf)
+    front = np.flatnonzero(depth > depth.max() - FACE_DEPTH)
+    tracker, motions = TorsoTracker(), []
+    pictures = in_order(lambda row: (images[row], masks[row]), range(len(tracking.intrinsics)))
+    for row, (image, mask) in enumerate(pictures):
+        face = posed_vertices(head, tracking, row)[front]
+        pixels, _ = project(face, tracking.intrinsics[row], tracking.world_to_camera[row])
+        motions.append(tracker.motion(image, mask, pixels))
+    if np.mean([motion is not None for motion in motions]) < FOLLOWED:
+        return None
+    views, first = tracking.world_to_camera.astype(np.float64), tracking.intrinsics[0]
+    shifts = views[:, :3, 3] + np.einsum("tij,tj->ti", views[:, :3, :3], tracking.translation)
+    lens = Lens(float(first[0, 0]), (float(first[0, 2]), float(first[1, 2])))
+    return torso_poses(motions, Poses(views[:, :3, :3], shifts), lens, fps).matrices()
 
 
 def _median_pose(poses: Poses) -> Poses:

@@ -24,6 +24,7 @@ from preprocess.posing import one_torch_thread
 from preprocess.record import FLAME_JOINTS, ForeignTracking
 from preprocess.sequence import TrackedSequence
 from preprocess.stage import Job, Stage, file_state
+from preprocess.torso import followed_torso
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
@@ -107,10 +108,19 @@ def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]
             "tracking?"
         )
     rows = np.array([row_of[number - offset] for number in kept])
+    found = with_torso(job, head, tracking.rows(rows), kept)
     report = {"tracker": name, "offset": offset, "pairing": pairing, "notes": [*record.notes, *version_note]}
     return kept, TrackedSequence(
-        tracking.rows(rows), head, report | {"warnings": _warnings(record, pairing, len(numbers) - len(kept))}
+        found, head, report | {"warnings": _warnings(record, pairing, len(numbers) - len(kept))}
     )
+
+
+def with_torso(job: Job, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
+    """The tracking with the torso's own motion, which other trackers do not tell."""
+    images = PicturesOnDisk(job, "images", numbers, read_rgb)
+    masks = PicturesOnDisk(job, "masks", numbers, read_grey)
+    torso = followed_torso(head, tracking, images, masks, float(job.results["frames"]["fps"]))
+    return dataclasses.replace(tracking, torso_to_camera=torso)
 
 
 def _warnings(record: ForeignTracking, pairing: Mapping[str, Any], lost: int) -> list[str]:
@@ -212,4 +222,4 @@ def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 
 
-STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=3)
+STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=4)

@@ -30,7 +30,7 @@ from torch.nn.functional import mse_loss, normalize
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.deformation_transfer import FaceChanges, transferred
 from ggavatar.density import DensityControl, accumulate, statistics
-from ggavatar.geometry import invert_rigid, quaternion_multiply
+from ggavatar.geometry import quaternion_multiply
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms
@@ -255,8 +255,7 @@ class GaussianBlendshapes(nn.Module):
         motion = self.skin.motion(self.head, drive)
         if self.config.pose_on == "camera" or not self.poses.in_camera:
             return motion
-        torso = invert_rigid(drive.head_to_camera) @ self.poses.reference
-        return self.skin.hold(motion, torso, self.head.joint("root"))
+        return self.skin.hold(motion, self.poses.torso(drive), self.head.joint("root"))
 
     def _differences(self, weights: Float[Tensor, "N M"]) -> tuple[Tensor, ...]:
         """What the learned differences add to positions, quaternions, log-scales, opacity logits and harmonics."""

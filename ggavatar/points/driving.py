@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Drive
-from ggavatar.geometry import axis_angle_to_matrix, invert_rigid
+from ggavatar.geometry import axis_angle_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.points.skinning import Bones
 from ggavatar.pose import HeadPoses
@@ -69,7 +69,7 @@ class Driver:
         canonical = self._bones((still, rest), (rotations, offsets))
         rotations, offsets = self.head.joint_transforms(drive)
         if self.poses.in_camera:
-            torso = invert_rigid(drive.head_to_camera) @ self.poses.reference
+            torso = self.poses.torso(drive)
             still, rest = torso[:3, :3], torso[:3, 3]
         shift = rest - drive.translation
         if self.poses.in_camera and self.root_is_still:

@@ -165,6 +165,8 @@ def test_wrong_description(folder, changes, message):
         ({"world_to_camera": np.tile(np.diag([2.0, 2, 2, 1]), (4, 1, 1))}, "scales or shears"),
         ({"world_to_camera": np.tile(np.diag([-1.0, 1, 1, 1]), (4, 1, 1))}, "mirrored"),
         ({"world_to_camera": np.tile(np.diag([1.0, 1, 1, 2]), (4, 1, 1))}, "last row"),
+        ({"torso_to_camera": np.tile(np.diag([2.0, 2, 2, 1]), (4, 1, 1))}, "'torso_to_camera' row 0"),
+        ({"torso_to_camera": np.tile(np.eye(4), (3, 1, 1))}, "expected 'torso_to_camera' of shape"),
         ({"expression": np.full((4, 2), np.nan)}, "'expression' holds NaN or infinity, first in row 0"),
         ({"expression": np.zeros((4, 3))}, "2 expression coefficients, tracking.npz has 3"),
         ({"expression": np.zeros((3, 2))}, "expected 'expression' of shape"),

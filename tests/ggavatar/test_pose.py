@@ -51,6 +51,18 @@ def test_torso_stands_still_before_the_camera_and_the_head_in_head_space(toy_hea
     assert torch.allclose(poses.hold_torso(head.template, at_rest, head), head.template, atol=1e-6)
 
 
+def test_a_torso_that_was_followed_is_where_it_was_seen(toy_head: HeadModel) -> None:
+    head = with_torso(toy_head)
+    poses, torso = HeadPoses.of(head, drives(head)), head.skinning_weights[:, 0] == 1
+    seen_torso = pose(0.05, -0.1, 0.02, 0.03)
+    for drive in drives(head):
+        held = poses.hold_torso(head.template, dataclasses.replace(drive, torso_to_camera=seen_torso), head)
+        assert torch.equal(held[~torso], head.template[~torso])
+        seen = held[torso] @ drive.head_to_camera[:3, :3].T + drive.head_to_camera[:3, 3]
+        wanted = head.template[torso] @ seen_torso[:3, :3].T + seen_torso[:3, 3]
+        assert torch.allclose(seen, wanted, atol=1e-5)
+
+
 def test_trackers_that_turn_the_neck_are_left_alone(toy_head: HeadModel) -> None:
     head = with_torso(toy_head)
     turned = [dataclasses.replace(drive, joint_rotations=torch.full((5, 3), 0.1)) for drive in drives(head)]

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
+from ggavatar.capture import Tracking
+from ggavatar.head.model import HeadModel
+from ggavatar.head.procedural import procedural_head
 from preprocess.face_embedding import boundary_loops, closest_points
 from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
 from preprocess.rigid import Lens, Poses
 from preprocess.surface_extension import SurfaceExtension
-from preprocess.torso import STRETCHED, TorsoPivots, TorsoTracker, neck_motion, torso_poses
+from preprocess.torso import STRETCHED, TorsoPivots, TorsoTracker, followed_torso, neck_motion, torso_poses
 from preprocess.tracked_head import similarity
 
 LENS = Lens(1000.0, (256.0, 256.0))
@@ -134,6 +139,39 @@ def test_torso_is_followed_without_drift() -> None:
 def test_a_plain_torso_is_not_followed() -> None:
     grey, mask = np.full((256, 256, 3), 90, np.uint8), np.full((256, 256), 255, np.uint8)
     assert TorsoTracker().motion(grey, mask, np.array([[100.0, 50.0], [150.0, 110.0]])) is None
+
+
+def still_head(count: int) -> tuple[HeadModel, Tracking]:
+    """The procedural head, still in the upper half of the picture."""
+    head = procedural_head()
+    views = np.tile(np.eye(4), (count, 1, 1))
+    views[:, :3, :3], views[:, :3, 3] = FACING.as_matrix(), [0.0, -0.12, 0.9]
+    joints = np.zeros((count, len(head.parents), 3))
+    expression = np.zeros((count, head.expression_basis.shape[2]))
+    lens = np.tile(LENS.matrix(), (count, 1, 1))
+    return head, Tracking(lens, views, expression, joints, np.zeros((count, 2)), np.zeros((count, 3)))
+
+
+def test_the_torso_is_followed_beside_another_trackers_head() -> None:
+    shifts = np.array([[6.0 * np.sin(0.15 * k), 3.0 * np.cos(0.1 * k)] for k in range(40)])
+    head, tracking = still_head(len(shifts))
+    images, masks = [cloth((x, y)) for x, y in shifts], [np.full((512, 512), 255, np.uint8)] * len(shifts)
+    found = followed_torso(head, tracking, images, masks, 25.0)
+    assert found is not None
+    moved = (found[:, :2, 3] - found[:, :2, 3].mean(axis=0)) * LENS.focal / 0.9
+    np.testing.assert_allclose(moved, shifts - shifts.mean(axis=0), atol=0.5)
+    np.testing.assert_allclose(np.median(found[:, :3, 3], axis=0), [0.0, -0.12, 0.9], atol=0.002)
+
+
+def test_no_torso_is_made_up_where_nothing_can_be_followed_or_the_tracker_turns_the_neck() -> None:
+    head, tracking = still_head(6)
+    grey, masks = [np.full((512, 512, 3), 90, np.uint8)] * 6, [np.full((512, 512), 255, np.uint8)] * 6
+    assert followed_torso(head, tracking, grey, masks, 25.0) is None
+    turned = tracking.joint_rotations.copy()
+    turned[:, head.joint("neck"), 0] = 0.1
+    textured = [cloth((0.0, 0.0))] * 6
+    assert followed_torso(head, dataclasses.replace(tracking, joint_rotations=turned), textured, masks, 25.0) is None
+    assert followed_torso(head, tracking, textured, masks, 25.0) is not None
 
 
 def test_neck_motion_puts_a_resting_torso_back_in_the_room() -> None:

@@ -16,6 +16,7 @@ from preprocess.clip_fit import Clip
 from preprocess.face_topology import LEFT_IRIS, LOWER_LIP_MARGIN, RIGHT_IRIS, UPPER_LIP_MARGIN, anchoring
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.options import PrepOptions
+from preprocess.outline_poses import WIDTH, Edges, reduced_distances
 from preprocess.silhouette_fit import Outlines
 from preprocess.tracking import Watched, track_landmarks
 
@@ -60,9 +61,19 @@ def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
     pixels = FOCAL * seen[..., :2] / seen[..., 2:] + SIZE / 2
     pixels += np.random.default_rng(0).normal(0, NOISE, pixels.shape)
     clip = Clip(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
-    mask = np.zeros((1, 192, 192), np.uint8)
-    cv2.ellipse(mask[0], (96, 90), (40, 55), 0, 0, 360, 255, -1)
-    return Watched(clip, [None] * FRAMES, Outlines(np.array([0]), mask, 192 / SIZE)), rotations, jaw
+    masks = [silhouette(generic, rotation) for rotation in rotations]
+    edges = Edges(np.stack([reduced_distances(mask) for mask in masks]), WIDTH / SIZE)
+    outlines = Outlines(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
+    return Watched(clip, [None] * FRAMES, outlines, edges), rotations, jaw
+
+
+def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
+    """Mask of the turned head, without its torso."""
+    seen = generic.vertices[generic.weights[:, 0] < 0.01] @ rotation.T + [0.0, 0.02, 1.05]
+    pixels = FOCAL * seen[:, :2] / seen[:, 2:] + SIZE / 2
+    mask = np.zeros((SIZE, SIZE), np.uint8)
+    cv2.fillConvexPoly(mask, cv2.convexHull(np.round((pixels - 0.5) * 16).astype(np.int32)), 255, shift=4)
+    return mask
 
 
 def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
