@@ -211,26 +211,31 @@ def smooth_steps(information: np.ndarray, gradient: np.ndarray, poses: Poses, sm
     if smoothness == 0 or count < 3:
         return np.linalg.solve(information + damping, gradient[..., None])[..., 0]
     metric = smoothness * typical
-    stencil = second_difference_stencil(count)
     gradient = gradient - (_stencil_transpose(_accelerations(poses)) @ metric.T)
-    width = 3 * POSE
-    bands = np.zeros((width, count * POSE))
+    return solve_smooth(information + damping, gradient, metric)
+
+
+def solve_smooth(
+    information: Float[np.ndarray, "T N N"], gradient: Float[np.ndarray, "T N"], metric: Float[np.ndarray, "N N"]
+) -> Float[np.ndarray, "T N"]:
+    """Least squares over all frames with second differences penalised by `metric` (a banded system)."""
+    count, width = gradient.shape
+    stencil = second_difference_stencil(count)
+    bands = np.zeros((3 * width, count * width))
     for offset in range(3):
         blocks = stencil[offset, : count - offset, None, None] * metric
-        if offset == 0:
-            blocks = blocks + information + damping
-        _add_blocks(bands, blocks, offset)
-    return solveh_banded(bands, gradient.ravel(), lower=True).reshape(count, POSE)
+        _add_blocks(bands, blocks + information if offset == 0 else blocks, offset)
+    return solveh_banded(bands, gradient.ravel(), lower=True).reshape(count, width)
 
 
 def _add_blocks(bands: np.ndarray, blocks: np.ndarray, offset: int) -> None:
     """Put blocks (t + offset, t) of a symmetric matrix into lower banded storage."""
-    count = len(blocks)
-    for row in range(POSE):
-        for column in range(POSE):
-            below = offset * POSE + row - column
+    count, width = len(blocks), blocks.shape[-1]
+    for row in range(width):
+        for column in range(width):
+            below = offset * width + row - column
             if below >= 0:
-                bands[below, np.arange(count) * POSE + column] += blocks[:, row, column]
+                bands[below, np.arange(count) * width + column] += blocks[:, row, column]
 
 
 def second_difference_stencil(count: int) -> Float[np.ndarray, "3 count"]:

@@ -1,8 +1,7 @@
 """The torso's own motion: how the clothes below the chin move in the image, and the neck joints that follow from it.
 
 The head's pose is in the camera, so shoulders that rest in the room swing in head space. Few numbers are measured
-(shift, roll and size of the torso in the image), and slowly: enough for shoulders to stay where they are, too few to
-memorise frames.
+(a rigid pose), and slowly: enough for shoulders to stay where they are, too few to memorise frames.
 """
 
 from __future__ import annotations
@@ -19,9 +18,11 @@ from scipy.spatial.transform import Rotation
 from ggavatar.capture import Tracking
 from ggavatar.head.model import HeadModel
 from preprocess.in_order import in_order
+from preprocess.outline_poses import Edges, reduced_distances
 from preprocess.posing import posed_vertices, project
 from preprocess.rigid import Lens, Poses
 from preprocess.smoothing import penalty, smooth
+from preprocess.torso_outline import outline_motions
 
 TRACKING_WIDTH = 256
 CORNERS = 120
@@ -32,6 +33,10 @@ STRETCHED = 0.03
 """Most that a neck's length changes, m; beyond it the torso was not followed but lost (a cut, a drift)."""
 FACE_DEPTH = 0.07
 """How far behind the tip of the nose the face reaches, m."""
+CHEST, BREAST = 0.085, 0.08
+"""How far the chest lies in front of the shoulders' outline, and how far below them it is looked at, m."""
+TURNED = 0.2
+"""Most that a torso turns or leans, rad; beyond it the texture was lost."""
 CUTOFF = 2.5
 """Fastest torso motion kept, Hz."""
 
@@ -113,17 +118,61 @@ class TorsoPivots:
     lower: Float[np.ndarray, "3"]
 
 
-def torso_poses(motions: list[np.ndarray | None], poses: Poses, lens: Lens, fps: float) -> Poses:
-    """Rigid pose of the torso in the camera; at rest it stands under the head's median pose."""
+@dataclass(frozen=True)
+class TorsoMotions:
+    """Similarities of the torso from the first frame's pixels to each frame's.
+
+    Attributes:
+        texture: Of the clothes on the chest, in front; None where they could not be followed.
+        outline: Of the shoulders' outline, at the torso's sides; as `texture` where there is no outline.
+    """
+
+    texture: Sequence[np.ndarray | None]
+    outline: Sequence[np.ndarray | None]
+
+    @property
+    def followed(self) -> int:
+        """Frames in which the torso was followed."""
+        return sum(motion is not None for motion in self.outline)
+
+    @property
+    def believed(self) -> bool:
+        """Whether these are frames enough for the torso to move at all."""
+        return self.followed >= FOLLOWED * len(self.outline)
+
+
+def torso_motions(
+    texture: Sequence[np.ndarray | None], edges: Edges, faces: Sequence[tuple[float, float]], fps: float
+) -> TorsoMotions:
+    """With the outline's motion; see `outline_motions`."""
+    return TorsoMotions(texture, outline_motions(texture, edges, np.array(faces), fps))
+
+
+def torso_poses(motions: TorsoMotions, poses: Poses, pivot: Float[np.ndarray, "3"], lens: Lens, fps: float) -> Poses:
+    """Rigid pose of the torso in the camera; at rest it stands under the head's median pose.
+
+    The outline tells how it shifts and rolls. Where the chest, which is nearer, moves otherwise, it turns or leans.
+    A torso that was not followed rests.
+
+    Args:
+        motions: Of its image.
+        poses: Of the head.
+        pivot: Middle of the shoulders in head space, m.
+        lens: Camera.
+        fps: Frames a second.
+    """
     rest = _median_pose(poses)
-    seen = np.array([motion is not None for motion in motions])
-    parts = np.array([np.zeros(4) if motion is None else _similarity_parts(motion, rest, lens) for motion in motions])
-    if seen.mean() < FOLLOWED:
-        parts, seen = np.zeros_like(parts), np.ones(len(parts), bool)
+    if not motions.believed:
+        return Poses(rest.rotations.repeat(len(poses.rotations), 0), rest.translations.repeat(len(poses.rotations), 0))
+    seen = np.array([motion is not None for motion in motions.outline])
+    middle = rest.to_camera(pivot[None, None])[0, 0]
+    pairs = zip(motions.texture, motions.outline, strict=True)
+    parts = np.array([np.zeros(6) if over is None else _motion_parts(over, on, middle, lens) for on, over in pairs])
     parts = parts - np.median(parts[seen], axis=0)
+    parts[:, 3:5] = np.clip(parts[:, 3:5], -TURNED, TURNED)
     parts = smooth(parts, seen.astype(float), penalty(CUTOFF, fps))
-    turns = Rotation.from_rotvec(parts[:, 3:] * [0.0, 0.0, 1.0]).as_matrix()
-    return Poses(turns @ rest.rotations, rest.translations + parts[:, :3])
+    rotations = Rotation.from_rotvec(parts[:, 3:]).as_matrix() @ rest.rotations
+    return Poses(rotations, middle + parts[:, :3] - rotations @ pivot)
 
 
 def followed_torso(
@@ -148,18 +197,22 @@ def followed_torso(
         return None
     depth = np.where(hung < 0.01, head.template[:, 2].numpy(), -np.inf)
     front = np.flatnonzero(depth > depth.max() - FACE_DEPTH)
-    tracker, motions = TorsoTracker(), []
+    tracker, texture, distances, faces = TorsoTracker(), [], [], []
     pictures = in_order(lambda row: (images[row], masks[row]), range(len(tracking.intrinsics)))
     for row, (image, mask) in enumerate(pictures):
         face = posed_vertices(head, tracking, row)[front]
         pixels, _ = project(face, tracking.intrinsics[row], tracking.world_to_camera[row])
-        motions.append(tracker.motion(image, mask, pixels))
-    if np.mean([motion is not None for motion in motions]) < FOLLOWED:
+        faces.append((pixels[:, 1].min(), pixels[:, 1].max()))
+        texture.append(tracker.motion(image, mask, pixels))
+        distances.append(reduced_distances(mask))
+    motions = torso_motions(texture, Edges(np.stack(distances), distances[0].shape[1] / mask.shape[1]), faces, fps)
+    if not motions.believed:
         return None
     views, first = tracking.world_to_camera.astype(np.float64), tracking.intrinsics[0]
     shifts = views[:, :3, 3] + np.einsum("tij,tj->ti", views[:, :3, :3], tracking.translation)
     lens = Lens(float(first[0, 0]), (float(first[0, 2]), float(first[1, 2])))
-    return torso_poses(motions, Poses(views[:, :3, :3], shifts), lens, fps).matrices()
+    pivot = (head.joint_regressor @ head.template)[head.joint("root")].numpy()
+    return torso_poses(motions, Poses(views[:, :3, :3], shifts), pivot, lens, fps).matrices()
 
 
 def _median_pose(poses: Poses) -> Poses:
@@ -170,15 +223,22 @@ def _median_pose(poses: Poses) -> Poses:
     return Poses(middle.as_matrix()[None], np.median(poses.translations, axis=0)[None])
 
 
-def _similarity_parts(matrix: np.ndarray, rest: Poses, lens: Lens) -> np.ndarray:
-    """Shift in camera space (m) and roll (rad) of the head's resting place carried along by an image similarity."""
-    depth = rest.translations[0, 2]
-    anchor = lens.focal * rest.translations[0, :2] / depth + np.asarray(lens.center)
-    size = np.hypot(matrix[0, 0], matrix[1, 0])
-    moved = matrix[:2, :2] @ anchor + matrix[:2, 2]
+def _motion_parts(
+    outline: np.ndarray, texture: np.ndarray | None, middle: np.ndarray, lens: Lens
+) -> Float[np.ndarray, "6"]:
+    """Shift (m) and turn (axis-angle, rad), both in camera space, of a torso whose shoulders rest at `middle`."""
+    depth, scale = middle[2], lens.focal / middle[2]
+    size = np.hypot(outline[0, 0], outline[1, 0])
+    roll = np.arctan2(outline[1, 0], outline[0, 0])
+    at_rest = middle[:2] * scale + np.asarray(lens.center)
     new_depth = depth / np.clip(size, 0.5, 2.0)
-    across = (moved - np.asarray(lens.center)) * new_depth / lens.focal
-    return np.append(np.append(across, new_depth) - rest.translations[0], np.arctan2(matrix[1, 0], matrix[0, 0]))
+    across = (outline[:2, :2] @ at_rest + outline[:2, 2] - lens.center) * new_depth / lens.focal
+    shift = np.append(across, new_depth) - middle
+    if texture is None:
+        return np.concatenate((shift, [0.0, 0.0, roll]))
+    chest = np.append(at_rest[0], at_rest[1] + BREAST * scale)
+    apart = (texture - outline)[:2] @ np.append(chest, 1.0) / scale
+    return np.concatenate((shift, [apart[1] / CHEST, -apart[0] / CHEST, roll]))
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from preprocess.silhouette_fit import (
     vertex_normals,
 )
 from preprocess.smoothing import penalty, pose_jitter, smooth
-from preprocess.torso import TorsoPivots, TorsoTracker, neck_motion, torso_poses
+from preprocess.torso import TorsoMotions, TorsoPivots, TorsoTracker, neck_motion, torso_motions, torso_poses
 from preprocess.tracked_head import NECK_UNIT, assemble, move_eyes
 
 ENOUGH_FRAMES = 8
@@ -59,13 +59,13 @@ class Watched:
 
     Attributes:
         clip: Landmarks.
-        torso: Similarity of the torso from the first frame to each, px; None where it could not be followed.
+        torso: How its image moves.
         outlines: Masks of a few frames.
         edges: Outlines of all frames, more coarsely.
     """
 
     clip: Clip
-    torso: list[np.ndarray | None]
+    torso: TorsoMotions
     outlines: Outlines
     edges: Edges
 
@@ -113,7 +113,7 @@ def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]
 
 def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
     """Landmarks and torso motion of every frame, holding a few pictures at a time."""
-    torso, points, scores, motions, kept, distances = TorsoTracker(), [], [], [], [], []
+    torso, points, scores, texture, kept, distances = TorsoTracker(), [], [], [], [], []
     rows, size = chosen_rows(len(images)), (0, 0)
     pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
     for index, (image, mask) in enumerate(pictures):
@@ -121,7 +121,7 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
         found = tracker.landmarks(image)
         points.append(None if found is None else found.points)
         scores.append(np.zeros(52) if found is None else found.blendshapes)
-        motions.append(torso.motion(image, mask, points[-1]))
+        texture.append(torso.motion(image, mask, points[-1]))
         distances.append(reduced_distances(mask))
         if index in rows:
             kept.append(reduce_mask(mask))
@@ -135,6 +135,8 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
     filled = np.stack([points[index] for index in nearest])
     clip = Clip(filled, np.stack(scores)[nearest].astype(np.float64), seen, size, fps)
     edges = Edges(np.stack(distances), distances[0].shape[1] / size[0])
+    faces = [(float(shape[:, 1].min()), float(shape[:, 1].max())) for shape in filled]
+    motions = torso_motions(texture, edges, faces, fps)
     return Watched(clip, motions, Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0]), edges)
 
 
@@ -206,7 +208,7 @@ def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
     visible = weights * (lids.max(axis=1) < CLOSED)
     joints[:, 3:5] = conjugate(_turns(watched, fit), visible, clip.fps, smoothed)
     pivots = TorsoPivots(fit.shape.joints[JOINT_NAMES.index("cervical")], fit.shape.joints[JOINT_NAMES.index("torso")])
-    torso = torso_poses(watched.torso, camera.poses, camera.lens, clip.fps)
+    torso = torso_poses(watched.torso, camera.poses, pivots.lower, camera.lens, clip.fps)
     neck = neck_motion(torso, camera.poses, pivots)
     joints[:, 5], joints[:, 6] = neck.upper, neck.lower
     expression = steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF)
@@ -237,7 +239,6 @@ def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
     clip = watched.clip
     missed = reprojection(clip, fit.camera, fit.model.shapes(fit.motion.coefficients, fit.motion.jaw))[clip.seen]
     lost = int((~clip.seen).sum())
-    followed = sum(motion is not None for motion in watched.torso)
     scored = bool(clip.blendshapes.any())
     lacking = [] if scored else [WITHOUT_BUNDLE]
     carried = f"no face in {lost} of {len(clip.seen)} frames; their pose is carried over from the neighbours"
@@ -254,7 +255,7 @@ def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
         "expression_energy": {"named": round(fit.energy[0], 4), "with_own": round(fit.energy[1], 4)},
         "jitter": {name: round(value, 4) for name, value in pose_jitter(fit.camera.poses).items()},
         "frames_without_face": lost,
-        "torso_followed": followed,
+        "torso_followed": watched.torso.followed,
         "notes": lacking,
         "warnings": [*lacking, carried][: len(lacking) + (lost > 0)],
     }

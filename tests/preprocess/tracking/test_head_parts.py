@@ -17,7 +17,15 @@ from preprocess.face_embedding import boundary_loops, closest_points
 from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
 from preprocess.rigid import Lens, Poses
 from preprocess.surface_extension import SurfaceExtension
-from preprocess.torso import STRETCHED, TorsoPivots, TorsoTracker, followed_torso, neck_motion, torso_poses
+from preprocess.torso import (
+    STRETCHED,
+    TorsoMotions,
+    TorsoPivots,
+    TorsoTracker,
+    followed_torso,
+    neck_motion,
+    torso_poses,
+)
 from preprocess.tracked_head import similarity
 
 LENS = Lens(1000.0, (256.0, 256.0))
@@ -206,5 +214,5 @@ def test_a_torso_never_seen_rests_in_the_room() -> None:
             np.tile([0.0, 0, 1], (9, 1)),
         ),
     )
-    torso = torso_poses([None] * 9, head, LENS, 25.0)
+    torso = torso_poses(TorsoMotions([None] * 9, [None] * 9), head, np.zeros(3), LENS, 25.0)
     np.testing.assert_allclose(torso.rotations, np.tile(FACING.as_matrix(), (9, 1, 1)), atol=1e-6)

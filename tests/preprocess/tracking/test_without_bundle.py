@@ -18,6 +18,7 @@ from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.options import PrepOptions
 from preprocess.outline_poses import WIDTH, Edges, reduced_distances
 from preprocess.silhouette_fit import Outlines
+from preprocess.torso import TorsoMotions
 from preprocess.tracking import Watched, track_landmarks
 
 FRAMES, SIZE, FOCAL = 40, 512, 1100.0
@@ -64,7 +65,7 @@ def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
     masks = [silhouette(generic, rotation) for rotation in rotations]
     edges = Edges(np.stack([reduced_distances(mask) for mask in masks]), WIDTH / SIZE)
     outlines = Outlines(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
-    return Watched(clip, [None] * FRAMES, outlines, edges), rotations, jaw
+    return Watched(clip, TorsoMotions([None] * FRAMES, [None] * FRAMES), outlines, edges), rotations, jaw
 
 
 def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
