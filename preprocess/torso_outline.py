@@ -1,7 +1,7 @@
 """How the shoulders' outline moves in the image: what texture alone gets wrong, and what bare or plain shoulders hide.
 
 The mask's edge below the chin says how the shoulders moved across it. What the texture told of the torso is the
-starting point and holds what the outline cannot tell.
+starting point and holds what the outline cannot tell (two straight shoulders hardly tell size from height).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from preprocess.rigid import solve_smooth
 from preprocess.smoothing import penalty
 
 SIZE_ERROR = 0.01
-"""Share by which a torso may come nearer; texture's own word on size is not heard."""
+"""Share by which a torso may come nearer; texture's own word on size is not heard, it was worse than none."""
 CUTOFF = 2.5
 """Fastest motion kept where the outline tells it well, Hz."""
 TEXTURE_ERROR, REST_ERROR = 0.015, 0.06

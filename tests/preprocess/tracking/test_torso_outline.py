@@ -38,12 +38,10 @@ def similarity(shift: tuple[float, float], roll: float = 0.0, size: float = 1.0)
 
 
 def truth() -> np.ndarray:
-    """A torso that shrugs, sways, rolls and leans, within two seconds."""
+    """A torso that shrugs, sways and rolls, within two seconds."""
     time = np.arange(FRAMES) / FPS
-    ways = zip(
-        5 * np.sin(3 * time), 6 * np.cos(4 * time), 0.03 * np.sin(2 * time), 0.03 * np.cos(2.5 * time), strict=True
-    )
-    return np.stack([similarity((x, y), roll, 1 + size) for x, y, roll, size in ways])
+    ways = zip(5 * np.sin(3 * time), 6 * np.cos(4 * time), 0.03 * np.sin(2 * time), strict=True)
+    return np.stack([similarity((x, y), roll) for x, y, roll in ways])
 
 
 def drawn(motions: np.ndarray) -> Edges:
@@ -71,8 +69,8 @@ def test_shoulders_without_texture_are_followed_by_their_outline() -> None:
     motions = truth()
     found = outline_motions([None] * FRAMES, drawn(motions), FACES, FPS)
     error = misplaced(found, motions)
-    assert np.sqrt((error[:, 1] ** 2).mean()) < 0.6
-    assert np.sqrt((error[:, 0] ** 2).mean()) < 1.5
+    assert np.sqrt((error[:, 1] ** 2).mean()) < 0.3
+    assert np.sqrt((error[:, 0] ** 2).mean()) < 0.5
     resting = misplaced([np.eye(3)] * FRAMES, motions)
     assert np.sqrt((resting[:, 1] ** 2).mean()) > 5
 
@@ -82,7 +80,7 @@ def test_texture_that_drifts_away_is_brought_back() -> None:
     drifting = [similarity((0.02 * k, 0.15 * k)) @ motion for k, motion in enumerate(motions)]
     error = misplaced(outline_motions(drifting, drawn(motions), FACES, FPS), motions)
     assert np.abs(misplaced(drifting, motions)).max() > 4
-    assert np.sqrt((error**2).mean()) < 0.7
+    assert np.sqrt((error**2).mean()) < 0.4
 
 
 def test_texture_fills_in_what_the_outline_does_not_tell() -> None:
@@ -97,7 +95,7 @@ def test_texture_fills_in_what_the_outline_does_not_tell() -> None:
 
 
 def test_without_an_outline_below_the_chin_texture_stands() -> None:
-    motions = truth()
+    motions = list(truth())
     nothing = Edges(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
     found = outline_motions([None, *motions[1:]], nothing, FACES, FPS)
     assert found[0] is None and all(
@@ -108,17 +106,18 @@ def test_without_an_outline_below_the_chin_texture_stands() -> None:
 @pytest.mark.parametrize(("axis", "angle"), [(0, 0.05), (1, -0.08)])
 def test_a_chest_that_moves_otherwise_than_the_shoulders_is_a_turn(axis: int, angle: float) -> None:
     """Head at rest, 1 m away: a chest in front of the shoulders' axis moves by its turn, the outline by nothing."""
-    facing = np.tile(np.diag([1.0, -1.0, -1.0]), (9, 1, 1))
-    head, pivot = Poses(facing, np.tile([0.0, 0.0, 1.0], (9, 1))), np.array([0.0, -0.15, 0.0])
-    angles = angle * np.sin(np.arange(9) / 8 * np.pi)
-    moves = np.zeros((9, 2))
+    facing = np.tile(np.diag([1.0, -1.0, -1.0]), (FRAMES, 1, 1))
+    head, pivot = Poses(facing, np.tile([0.0, 0.0, 1.0], (FRAMES, 1))), np.array([0.0, -0.15, 0.0])
+    angles = angle * np.sin(np.arange(FRAMES) / FRAMES * 2 * np.pi)
+    moves = np.zeros((FRAMES, 2))
     moves[:, 1 - axis] = (angles if axis == 0 else -angles) * CHEST * LENS.focal
     texture = [similarity((float(x), float(y))) for x, y in moves]
-    found = torso_poses(TorsoMotions(texture, [np.eye(3)] * 9), head, pivot, LENS, 250.0)
+    found = torso_poses(TorsoMotions(texture, [np.eye(3)] * FRAMES), head, pivot, LENS, FPS)
     turns = found.rotations @ facing.transpose(0, 2, 1)
     told = np.stack((turns[:, 2, 1], turns[:, 0, 2]))[axis]
-    np.testing.assert_allclose(told - np.median(told), angles - np.median(angles), atol=3e-3)
-    np.testing.assert_allclose(found.to_camera(pivot[None, None])[:, 0], np.tile([0, 0.15, 1], (9, 1)), atol=1e-6)
+    np.testing.assert_allclose(told - np.median(told), angles - np.median(angles), atol=5e-3)
+    seen = found.to_camera(pivot[None, None])[:, 0]
+    np.testing.assert_allclose(seen, np.tile([0, 0.15, 1], (FRAMES, 1)), atol=1e-6)
 
 
 def test_a_chest_that_was_lost_does_not_turn_the_torso_round() -> None:
