@@ -39,7 +39,8 @@ from preprocess.silhouette_fit import (
     vertex_normals,
 )
 from preprocess.smoothing import penalty, pose_jitter, smooth
-from preprocess.torso import TorsoMotions, TorsoPivots, TorsoTracker, neck_motion, torso_motions, torso_poses
+from preprocess.torso import TorsoMotions, TorsoPivots, neck_motion, torso_motions, torso_poses
+from preprocess.torso_texture import TorsoTracker
 from preprocess.tracked_head import NECK_UNIT, assemble, move_eyes
 
 ENOUGH_FRAMES = 8

@@ -21,11 +21,11 @@ from preprocess.torso import (
     STRETCHED,
     TorsoMotions,
     TorsoPivots,
-    TorsoTracker,
     followed_torso,
     neck_motion,
     torso_poses,
 )
+from preprocess.torso_texture import TorsoTracker
 from preprocess.tracked_head import similarity
 
 LENS = Lens(1000.0, (256.0, 256.0))

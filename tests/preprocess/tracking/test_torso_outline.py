@@ -129,6 +129,15 @@ def test_a_chest_that_was_lost_does_not_turn_the_torso_round() -> None:
     assert angles.max() <= 1.3 * TURNED
 
 
+def test_frames_without_texture_do_not_turn_the_torso() -> None:
+    """Chest and shoulders stand 10 px apart wherever the chest was followed: no turn, and none where it was not."""
+    facing = np.tile(np.diag([1.0, -1.0, -1.0]), (9, 1, 1))
+    head = Poses(facing, np.tile([0.0, 0.0, 1.0], (9, 1)))
+    texture = [None if k < 4 else similarity((10.0, 5.0)) for k in range(9)]
+    found = torso_poses(TorsoMotions(texture, [np.eye(3)] * 9), head, np.array([0.0, -0.15, 0.0]), LENS, FPS)
+    np.testing.assert_allclose(found.rotations, facing, atol=1e-9)
+
+
 def test_texture_alone_is_used_for_both_where_there_is_no_outline() -> None:
     motions = list(truth())
     nothing = Edges(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
