@@ -12,9 +12,8 @@ TABLE ?= table
 TABLE_IDS ?= 1 2 3 4 5
 TABLE_FRAMES ?= 600
 TABLE_SIZE ?= 256
-TABLE_STEPS ?= 1500
 TABLE_METHODS ?= point_avatar flash_avatar gaussian_avatars ggavatar
-TABLE_FLAGS ?=
+TABLE_FLAGS ?= --preset fast --minutes 3 --jobs 2 --max-gaussians 20000
 SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
@@ -30,7 +29,7 @@ demo: $(VENV)/installed
 
 table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))
 	@$(BIN)/ggavatar-sweep $(patsubst %,$(TABLE)/captures/subject-%,$(TABLE_IDS)) --methods $(TABLE_METHODS) \
-		--steps $(TABLE_STEPS) $(TABLE_FLAGS) -o $(TABLE)/runs
+		$(TABLE_FLAGS) -o $(TABLE)/runs
 
 $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 	@test -f $(TABLE)/subjects/$*/README.txt || $(BIN)/ggavatar-demo --id $* --frames $(TABLE_FRAMES) --size $(TABLE_SIZE) \

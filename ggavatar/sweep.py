@@ -11,6 +11,7 @@ import dataclasses
 import functools
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -121,7 +122,7 @@ def sweep(arguments: Arguments) -> int:
     """Train what is missing, report what failed, and print the table; the exit code."""
     backend = backend_of(arguments)
     cells = grid(arguments)
-    outcomes = _train_all(cells, _flags(arguments), arguments.minutes, backend)
+    outcomes = _train_all(cells, arguments, backend)
     if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED
     trained = [cell.folder for cell in cells if cell.is_finished]
@@ -144,8 +145,9 @@ def backend_of(arguments: Arguments) -> Backend:
     return LocalProcesses(arguments.jobs, arguments.retries)
 
 
-def _train_all(cells: Sequence[Cell], flags: Sequence[str], minutes: float | None, backend: Backend) -> list[Outcome]:
+def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) -> list[Outcome]:
     """Train the cells that are not finished and say how each ended, as it ends."""
+    how = (tuple(_flags(arguments)), arguments.minutes, cores_of_a_cell(arguments))
     missing = {}
     for cell in cells:
         if cell.is_finished:
@@ -155,7 +157,7 @@ def _train_all(cells: Sequence[Cell], flags: Sequence[str], minutes: float | Non
     sys.stdout.write(f"{len(missing)} of {len(cells)} cells to train\n")
     sys.stdout.flush()
     outcomes = []
-    jobs = [Job(name, functools.partial(train_cell, cell, tuple(flags), minutes)) for name, cell in missing.items()]
+    jobs = [Job(name, functools.partial(train_cell, cell, *how)) for name, cell in missing.items()]
     for outcome in backend.run(jobs) if jobs else ():
         outcomes.append(outcome)
         _tell(outcome, missing[outcome.job], len(outcomes), len(jobs))
@@ -211,21 +213,31 @@ def _flags(arguments: Arguments) -> list[str]:
     return flags
 
 
-def train_cell(cell: Cell, flags: tuple[str, ...], minutes: float | None = None) -> int:
+def cores_of_a_cell(arguments: Arguments) -> int | None:
+    """Cores of every training, so that those beside it are not in its way; None where there are none beside it."""
+    if arguments.backend == "ray":
+        return max(int(arguments.cpus_per_job), 1)
+    return None if arguments.jobs == 1 else max((os.cpu_count() or 1) // arguments.jobs, 1)
+
+
+def train_cell(cell: Cell, flags: tuple[str, ...], minutes: float | None = None, cores: int | None = None) -> int:
     """Train a cell, or go on with it, in a process of its own; its output goes to a log beside its folder.
 
     Args:
         cell: Which.
         flags: For ggavatar-train.
         minutes: Wall time that sets the length of a cell that has not begun, after a pilot on this same machine.
+        cores: As of `logged`.
     """
     if minutes is not None and not cell.has_begun:
         pilot = cell.pilot
-        found = fitting_steps(minutes, pilot.folder, lambda more: logged(pilot.command((*flags, *more)), cell.log))
+        found = fitting_steps(
+            minutes, pilot.folder, lambda more: logged(pilot.command((*flags, *more)), cell.log, cores)
+        )
         if found.code:
             return found.code
         flags = (*flags, "--steps", str(found.steps))
-    return logged(cell.command(flags), cell.log)
+    return logged(cell.command(flags), cell.log, cores)
 
 
 def console_script(name: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -172,11 +173,21 @@ def persistently(job: Job, retries: int) -> Outcome:
     raise ValueError(f"expected retries of 0 or more, got {retries}")
 
 
-def logged(command: Sequence[str], log: Path) -> int:
-    """Run a program with its output added to a log; its exit code, 128 + signal if one ended it."""
+def logged(command: Sequence[str], log: Path, cores: int | None = None) -> int:
+    """Run a program with its output added to a log; its exit code, 128 + signal if one ended it.
+
+    Args:
+        command: Program and arguments.
+        log: File.
+        cores: What it may use of the machine; what the user has set in the environment stays. None is all.
+    """
     log.parent.mkdir(parents=True, exist_ok=True)
+    share = {} if cores is None else {name: str(cores) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
+    surroundings = share | dict(os.environ)
     with log.open("a") as stream:
-        code = subprocess.run(list(command), stdout=stream, stderr=subprocess.STDOUT, check=False).returncode
+        code = subprocess.run(
+            list(command), stdout=stream, stderr=subprocess.STDOUT, env=surroundings, check=False
+        ).returncode
     return code if code >= 0 else 128 - code
 
 

@@ -71,6 +71,26 @@ def test_without_retries_nothing_is_started_twice(tmp_path: Path) -> None:
     assert outcomes["flaky"] == Outcome("flaky", 1, 1) and (tmp_path / "count").read_text() == "x"
 
 
+@pytest.mark.parametrize(("cores", "set_by_user", "expected"), [(3, None, "3"), (3, "1", "1"), (None, None, "None")])
+def test_a_program_gets_its_share_of_the_cores_unless_the_user_said_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int | None, set_by_user: str | None, expected: str
+) -> None:
+    for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+        if set_by_user is not None:
+            monkeypatch.setenv(name, set_by_user)
+    tell = "import os; print(os.environ.get('OMP_NUM_THREADS'), os.environ.get('NUMBA_NUM_THREADS'))"
+    assert logged([sys.executable, "-c", tell], tmp_path / "log", cores) == 0
+    assert (tmp_path / "log").read_text() == f"{expected} {expected}\n"
+
+
+def test_cells_share_the_cores_of_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweep.os, "cpu_count", lambda: 8)
+    shares = [sweep.cores_of_a_cell(arguments(tmp_path, tmp_path, jobs=jobs)) for jobs in (1, 2, 3, 20)]
+    assert shares == [None, 4, 2, 1]
+    assert sweep.cores_of_a_cell(arguments(tmp_path, tmp_path, backend="ray", cpus_per_job=2.5)) == 2
+
+
 def _refuse() -> int:
     raise InputError("no such command")
 
