@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -85,7 +86,7 @@ def test_a_program_gets_its_share_of_the_cores_unless_the_user_said_otherwise(
 
 
 def test_cells_share_the_cores_of_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sweep.os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
     shares = [sweep.cores_of_a_cell(arguments(tmp_path, tmp_path, jobs=jobs)) for jobs in (1, 2, 3, 20)]
     assert shares == [None, 4, 2, 1]
     assert sweep.cores_of_a_cell(arguments(tmp_path, tmp_path, backend="ray", cpus_per_job=2.5)) == 2
