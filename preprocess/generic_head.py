@@ -134,19 +134,10 @@ def _torso(rim: np.ndarray, rows: np.ndarray, count: int) -> tuple[np.ndarray, n
 
 
 def _weights(head: HeadModel, vertices: np.ndarray) -> np.ndarray:
-    """Skinning weights: the head's own above the neck, then the upper neck joint, then the torso."""
+    """Skinning weights: the head's own, with the torso instead of its root; the upper neck joint only carries it."""
     own = head.skinning_weights.numpy().astype(np.float64)
-    above = own[:, 1:] / np.maximum(own[:, 1:].sum(axis=1, keepdims=True), 1e-9)
-    height = vertices[:, 1]
-    with_head, with_torso = _step(-0.140, -0.085, height), 1 - _step(-0.180, -0.125, height)
-    with_head = np.minimum(with_head, 1 - with_torso)
     weights = np.zeros((len(vertices), len(JOINT_NAMES)))
-    weights[: len(own), 1:5] = above * with_head[: len(own), None]
-    weights[:, 6] = with_torso
-    weights[:, 5] = 1 - weights[:, :5].sum(axis=1) - with_torso
+    weights[: len(own), 1:5] = own[:, 1:]
+    weights[: len(own), 6] = own[:, 0]
+    weights[len(own) :, 6] = 1.0
     return weights
-
-
-def _step(low: float, high: float, values: np.ndarray) -> np.ndarray:
-    share = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return share * share * (3 - 2 * share)

@@ -28,7 +28,7 @@ from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTripl
 from ggavatar.geometry import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
-from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
+from ggavatar.losses import image_terms, l1, log_scale_regulariser, position_regulariser
 from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
@@ -139,6 +139,8 @@ class Config:
     """λ4, weight of the scale regulariser (Eq. 16)."""
     scale_threshold: float = 0.6
     """ε_scaling, triangle units (Eq. 15)."""
+    alpha_weight: float = 0.0
+    """Weight of the mean absolute difference between coverage and mask; 0 is the paper, which compares colours only."""
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -164,6 +166,7 @@ SHORT: dict[str, Any] = {
     "network_rate": 1e-3,
     "sh_degree": 1,
     "sh_iterations": 20_000,
+    "alpha_weight": 0.1,
 }
 """What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
 
@@ -219,7 +222,7 @@ class GGAvatar(nn.Module):
         return Gaussians(means, quats, scales, self.rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """The weighted terms of Eq. 13–16."""
+        """The weighted terms of Eq. 13–16, and coverage if it is wanted."""
         config, rows = self.config, self.rows
         visible = rendering.radii > 0
         terms = {
@@ -228,6 +231,8 @@ class GGAvatar(nn.Module):
             * position_regulariser(rows["means"], visible, config.position_threshold),
             "scale": config.scale_weight * log_scale_regulariser(rows["log_scales"], visible, config.scale_threshold),
         }
+        if config.alpha_weight:
+            terms["alpha"] = config.alpha_weight * l1(rendering.alpha, frame.alpha)
         if config.perceptual_weight and not self.is_neutral:
             boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))  # Eq. 16

@@ -20,7 +20,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.losses import l1
 from ggavatar.methods import ggavatar
 from ggavatar.region_boxes import region_boxes
 from ggavatar.scene import Scene
@@ -85,7 +84,7 @@ def build(config: Config, scene: Scene) -> GGAvatarPlus:
 
 
 class GGAvatarPlus(nn.Module):
-    """The paper's avatar with our settings and two more terms in its objective."""
+    """The paper's avatar with our settings and one more term in its objective."""
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -99,8 +98,6 @@ class GGAvatarPlus(nn.Module):
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
         """The paper's terms, coverage, and the regions that people look at."""
         terms = dict(self.avatar.losses(frame, rendering, step))
-        if self.config.alpha_weight:
-            terms["alpha"] = self.config.alpha_weight * l1(rendering.alpha, frame.alpha)
         if self.config.region_weight and not self.avatar.is_neutral:
             boxes = region_boxes(self.avatar.head, frame)
             share = 1 - self.avatar.config.dssim_share
