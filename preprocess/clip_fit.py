@@ -111,6 +111,7 @@ class FoundCamera:
     Attributes:
         camera: Lens and head poses.
         neutral: The face at resting scores, m.
+        shapes: The face as scores alone predict it in every frame, m.
         focal_spread: Standard deviation of log focal length.
         width: Of the face in the image, px.
         smoothness: Penalty used for poses.
@@ -118,6 +119,7 @@ class FoundCamera:
 
     camera: Camera
     neutral: Float[np.ndarray, "468 3"]
+    shapes: Float[np.ndarray, "T 468 3"]
     focal_spread: float
     width: float
     smoothness: float
@@ -142,8 +144,8 @@ def find_camera(clip: Clip, face: CanonicalFace, focal: float | None, smooth: bo
     smoothness = penalty(POSE_CUTOFF, clip.fps) if smooth else 0.0
     poses = initial_poses(shared, adjusted.shape, adjusted.lens)
     camera = Camera(adjusted.lens, refine_poses(shared, adjusted.shape, adjusted.lens, poses, smoothness))
-    camera, neutral = _neutral(clip, shared, camera, adjusted.shape, (flexibility(face), smoothness))
-    return FoundCamera(camera, neutral, adjusted.focal_spread, width, smoothness)
+    camera, neutral, shapes = _neutral(clip, shared, camera, adjusted.shape, (flexibility(face), smoothness))
+    return FoundCamera(camera, neutral, shapes, adjusted.focal_spread, width, smoothness)
 
 
 def learn_face(clip: Clip, face: CanonicalFace, generic: GenericHead, own: int, found: FoundCamera) -> ClipFit:
@@ -221,8 +223,8 @@ def flexibility(face: CanonicalFace) -> Float[np.ndarray, "468 1 1"]:
 
 def _neutral(
     clip: Clip, observed: Observations, camera: Camera, shape: np.ndarray, settings: tuple[np.ndarray, float]
-) -> tuple[Camera, np.ndarray]:
-    """Poses refined with the expressions that scores predict, and the face at resting scores.
+) -> tuple[Camera, np.ndarray, np.ndarray]:
+    """Poses refined with the expressions that scores predict, the face at resting scores, and as predicted.
 
     Settings are flexibility and smoothness.
     """
@@ -238,7 +240,7 @@ def _neutral(
         camera = Camera(
             camera.lens, refine_poses(observed, moving, camera.lens, camera.poses, smoothness, iterations=3)
         )
-    return camera, neutral
+    return camera, neutral, moving
 
 
 def strided(clip: Clip) -> np.ndarray:

@@ -1,8 +1,7 @@
 """Head poses that the hair agrees with.
 
-Landmarks alone are misled where a grimace looks like a turn of the head, and hide a part of every nod; the outline of
-the scalp is not. Both are weighed against each other. Edges far from the scalp (hair that moves by itself, things worn)
-hardly count.
+Landmarks alone are misled where a grimace looks like a turn of the head; the outline of the scalp is not. Edges far
+from the scalp (hair that moves by itself, things worn) hardly count.
 """
 
 from __future__ import annotations
@@ -13,17 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int8, UInt8
 
-from preprocess.rigid import (
-    CHUNK,
-    Lens,
-    Observations,
-    Poses,
-    pose_information,
-    pose_slopes,
-    project,
-    projection_slopes,
-    smooth_steps,
-)
+from preprocess.rigid import CHUNK, Lens, Poses, pose_slopes, project, projection_slopes
 
 WIDTH = 128
 """Masks are kept at this width, px."""
@@ -37,11 +26,10 @@ UPPER = np.radians(100)
 """How far from upright these directions go: below is no hair's edge but the face's and the neck's."""
 FLAT = 0.6
 """Least share of a normal that lies in the image, for its vertex to be on the outline."""
-LANDMARK_ERROR, OUTLINE_ERROR = 0.020, 0.010
-"""Over the face's width, px: of landmarks in a grimace, which err together, and of the hair's edge."""
-LANDMARKS_COUNT, OUTLINE_COUNT = 20.0, 12.0
-"""As many independent landmarks, and places of the outline, as all of them are worth."""
-ROUNDS = 6
+OUTLINE_ERROR = 0.010
+"""Of the hair's edge, over the face's width."""
+OUTLINE_COUNT = 12.0
+"""As many independent places as the whole outline is worth."""
 
 
 @dataclass(frozen=True)
@@ -75,86 +63,57 @@ class Scalp:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What there is to decide on poses.
+class OutlineEvidence:
+    """Where the outlines are, and the scalp that makes them.
 
     Attributes:
         edges: Outlines of the masks.
         scalp: The head's scalp.
-        landmarks: Observed landmarks; weights say only whether a face was seen.
-        shapes: Landmarks in head space as the fitted expressions put them, m.
         lens: Camera.
         width: Of the face in the image, px.
     """
 
     edges: Edges
     scalp: Scalp
-    landmarks: Observations
-    shapes: Float[np.ndarray, "T N 3"]
     lens: Lens
     width: float
 
+    def information(self, poses: Poses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
+        """Of every frame's pose."""
+        information, gradient, _ = self._of_all(poses)
+        return information, gradient
 
-def settle(evidence: Evidence, poses: Poses, smoothness: float) -> Poses:
-    """Poses between landmarks and outline.
+    def distances(self, poses: Poses) -> Float[np.ndarray, " T"]:
+        """Root mean square distance of the scalp from the outline in every frame, px."""
+        return self._of_all(poses)[2]
 
-    Args:
-        evidence: Landmarks and outline.
-        poses: Those that landmarks alone gave.
-        smoothness: Penalty on second differences; see `rigid.refine_poses`.
-    """
-    count = evidence.shapes.shape[1]
-    seen = evidence.landmarks.weights.max(axis=1, keepdims=True) > 0
-    each = LANDMARKS_COUNT / count / (LANDMARK_ERROR * evidence.width) ** 2
-    landmarks = Observations(evidence.landmarks.points, np.where(seen, each, 0.0) * np.ones((1, count)))
-    for _ in range(ROUNDS):
-        information, gradient = pose_information(landmarks, evidence.shapes, evidence.lens, poses)
-        further, pull, _ = _outline_information(evidence, poses)
-        poses = poses.moved(smooth_steps(information + further, gradient + pull, poses, smoothness))
-    return poses
+    def _of_all(self, poses: Poses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        starts = range(0, len(poses.rotations), CHUNK)
+        parts = [self._of_chunk(poses, slice(first, first + CHUNK)) for first in starts]
+        information, gradient, distances = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return information, gradient, distances
 
-
-def outline_distances(evidence: Evidence, poses: Poses) -> Float[np.ndarray, " T"]:
-    """Root mean square distance of the scalp from the outline in every frame, px."""
-    return _outline_information(evidence, poses)[2]
-
-
-def _outline_information(
-    evidence: Evidence, poses: Poses
-) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"], Float[np.ndarray, " T"]]:
-    """Information and gradient of every frame's pose, and the root mean square distance of its outline, px."""
-    parts = [
-        _chunk_information(evidence, poses, slice(first, first + CHUNK))
-        for first in range(0, len(poses.rotations), CHUNK)
-    ]
-    information, gradient, distances = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return information, gradient, distances
-
-
-def _chunk_information(evidence: Evidence, poses: Poses, chosen: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    here, lens, scalp = poses[chosen], evidence.lens, evidence.scalp
-    seen = here.to_camera(scalp.points[None])
-    pixels, normals = project(seen, lens), scalp.normals @ here.rotations.transpose(0, 2, 1)
-    flat = np.linalg.norm(normals[..., :2], axis=-1)
-    rows = farthest(pixels, here)
-    frames = np.arange(len(rows))[:, None]
-    pixels, flat, outward = pixels[frames, rows], flat[frames, rows], normals[frames, rows, :2]
-    outward = outward / np.maximum(flat, 1e-9)[..., None]
-    distances, known = sampled(evidence.edges, chosen, pixels)
-    error = OUTLINE_ERROR * evidence.width
-    known &= (flat > FLAT) & (rows >= 0)
-    weights = known / (1 + (distances / (3 * error)) ** 2) ** 2 / error**2
-    weights *= OUTLINE_COUNT / np.maximum(known.sum(axis=1, keepdims=True), OUTLINE_COUNT)
-    places = seen[frames, rows]
-    slopes = pose_slopes(places, here, projection_slopes(places, lens.focal))
-    along = np.einsum("tvi,tvia->tva", outward, slopes)
-    weighted = along * weights[..., None]
-    mean = (known * distances**2).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    return (
-        weighted.transpose(0, 2, 1) @ along,
-        np.einsum("tva,tv->ta", weighted, distances),
-        np.sqrt(mean),
-    )
+    def _of_chunk(self, poses: Poses, chosen: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        here, lens, scalp = poses[chosen], self.lens, self.scalp
+        seen = here.to_camera(scalp.points[None])
+        pixels, normals = project(seen, lens), scalp.normals @ here.rotations.transpose(0, 2, 1)
+        flat = np.linalg.norm(normals[..., :2], axis=-1)
+        rows = farthest(pixels, here)
+        frames = np.arange(len(rows))[:, None]
+        pixels, flat, outward = pixels[frames, rows], flat[frames, rows], normals[frames, rows, :2]
+        outward = outward / np.maximum(flat, 1e-9)[..., None]
+        distances, known = sampled(self.edges, chosen, pixels)
+        error = OUTLINE_ERROR * self.width
+        known &= (flat > FLAT) & (rows >= 0)
+        weights = known / (1 + (distances / (3 * error)) ** 2) ** 2 / error**2
+        weights *= OUTLINE_COUNT / np.maximum(known.sum(axis=1, keepdims=True), OUTLINE_COUNT)
+        places = seen[frames, rows]
+        slopes = pose_slopes(places, here, projection_slopes(places, lens.focal))
+        along = np.einsum("tvi,tvia->tva", outward, slopes)
+        weighted = along * weights[..., None]
+        mean = (known * distances**2).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        information = weighted.transpose(0, 2, 1) @ along
+        return information, np.einsum("tva,tv->ta", weighted, distances), np.sqrt(mean)
 
 
 def farthest(pixels: Float[np.ndarray, "T V 2"], poses: Poses) -> np.ndarray:

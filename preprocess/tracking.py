@@ -21,14 +21,15 @@ from ggavatar.head.model import HeadModel
 from preprocess import models
 from preprocess.clip_fit import Clip, ClipFit, FoundCamera, find_camera, learn_face, reprojection
 from preprocess.expression_axes import AXES, score
-from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
+from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
 from preprocess.flame_tracking import track_flame
 from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.in_order import in_order
 from preprocess.options import PrepOptions, TrackingOptions
-from preprocess.outline_poses import Edges, Evidence, Scalp, outline_distances, reduced_distances, settle
-from preprocess.rigid import nearest_true
+from preprocess.outline_poses import Edges, OutlineEvidence, Scalp, reduced_distances
+from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
+from preprocess.rigid import Poses, nearest_true
 from preprocess.sequence import TrackedSequence
 from preprocess.silhouette_fit import (
     Outlines,
@@ -38,6 +39,8 @@ from preprocess.silhouette_fit import (
     reduce_mask,
     vertex_normals,
 )
+from preprocess.skin_evidence import SkinEvidence, face_spots
+from preprocess.skin_pictures import SkinPictures, skin_picture
 from preprocess.smoothing import penalty, pose_jitter, smooth
 from preprocess.torso import TorsoMotions, TorsoPivots, neck_motion, torso_motions, torso_poses
 from preprocess.torso_texture import TorsoTracker
@@ -63,12 +66,14 @@ class Watched:
         torso: How its image moves.
         outlines: Masks of a few frames.
         edges: Outlines of all frames, more coarsely.
+        skin: The face's texture in all frames.
     """
 
     clip: Clip
     torso: TorsoMotions
     outlines: Outlines
     edges: Edges
+    skin: SkinPictures
 
 
 def track(
@@ -114,7 +119,7 @@ def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]
 
 def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
     """Landmarks and torso motion of every frame, holding a few pictures at a time."""
-    torso, points, scores, texture, kept, distances = TorsoTracker(), [], [], [], [], []
+    torso, points, scores, texture, kept, distances, skin = TorsoTracker(), [], [], [], [], [], []
     rows, size = chosen_rows(len(images)), (0, 0)
     pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
     for index, (image, mask) in enumerate(pictures):
@@ -124,6 +129,7 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
         scores.append(np.zeros(52) if found is None else found.blendshapes)
         texture.append(torso.motion(image, mask, points[-1]))
         distances.append(reduced_distances(mask))
+        skin.append(skin_picture(image, points[-1]))
         if index in rows:
             kept.append(reduce_mask(mask))
     seen = np.array([here is not None for here in points])
@@ -138,7 +144,8 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
     edges = Edges(np.stack(distances), distances[0].shape[1] / size[0])
     faces = [(float(shape[:, 1].min()), float(shape[:, 1].max())) for shape in filled]
     motions = torso_motions(texture, edges, faces, fps)
-    return Watched(clip, motions, Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0]), edges)
+    outlines = Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0])
+    return Watched(clip, motions, outlines, edges, SkinPictures.of(skin))
 
 
 def track_landmarks(
@@ -147,14 +154,30 @@ def track_landmarks(
     """Everything after the pictures have been looked at."""
     settings = options.tracker
     found = find_camera(watched.clip, face, settings.focal, settings.smooth)
+    by_landmarks = found.camera.poses
+    found = _posed(found, settle(_skin_and_landmarks(watched, face, found), by_landmarks, found.smoothness))
     fit, sequence = _with_face(watched, face, generic, settings, found)
-    evidence = _evidence(watched, fit, sequence.head, found)
-    poses = settle(evidence, found.camera.poses, found.smoothness)
-    settled = dataclasses.replace(found, camera=dataclasses.replace(found.camera, poses=poses))
-    _, sequence = _with_face(watched, face, generic, settings, settled)
-    distances = (float(np.median(outline_distances(evidence, here))) for here in (found.camera.poses, poses))
+    outline, landmarks = _outline_and_landmarks(watched, fit, sequence.head, found)
+    poses = settle((outline, landmarks), found.camera.poses, found.smoothness)
+    _, sequence = _with_face(watched, face, generic, settings, _posed(found, poses))
+    distances = (float(np.median(outline.distances(here))) for here in (by_landmarks, poses))
     told = dict(zip(("by_landmarks", "settled"), (round(value, 2) for value in distances), strict=True))
     return dataclasses.replace(sequence, report={**sequence.report, "scalp_to_outline_px": told})
+
+
+def _posed(found: FoundCamera, poses: Poses) -> FoundCamera:
+    """With other poses."""
+    return dataclasses.replace(found, camera=dataclasses.replace(found.camera, poses=poses))
+
+
+def _skin_and_landmarks(
+    watched: Watched, face: CanonicalFace, found: FoundCamera
+) -> tuple[SkinEvidence, LandmarkEvidence]:
+    """What decides on poses before the face is learnt, which would explain by expressions what poses leave."""
+    clip, lens = watched.clip, found.camera.lens
+    seen = trusted_landmarks(clip.observations(rigidity(face) * anchoring(face), 1.0), found.width)
+    spots = face_spots(face)
+    return SkinEvidence(watched.skin, spots, found.shapes, clip.seen, lens), LandmarkEvidence(seen, found.shapes, lens)
 
 
 def _with_face(
@@ -173,13 +196,16 @@ def _with_face(
     return fit, TrackedSequence(tracking, head, report)
 
 
-def _evidence(watched: Watched, fit: ClipFit, head: HeadModel, found: FoundCamera) -> Evidence:
-    """What decides on poses, once there is a head with an outline; no expression moves its scalp."""
+def _outline_and_landmarks(
+    watched: Watched, fit: ClipFit, head: HeadModel, found: FoundCamera
+) -> tuple[OutlineEvidence, LandmarkEvidence]:
+    """What decides on poses once there is a head with an outline; no expression moves its scalp."""
     shapes = fit.model.shapes(fit.motion.coefficients, fit.motion.jaw)
-    seen = watched.clip.observations(np.ones(shapes.shape[1]), 1.0)
+    seen = trusted_landmarks(watched.clip.observations(np.ones(shapes.shape[1]), 1.0), found.width)
     template, rows = head.template.numpy().astype(np.float64), head.regions["scalp"].numpy()
     scalp = Scalp(template[rows], vertex_normals(template, head.faces.numpy())[rows])
-    return Evidence(watched.edges, scalp, seen, shapes, found.camera.lens, found.width)
+    lens = found.camera.lens
+    return OutlineEvidence(watched.edges, scalp, lens, found.width), LandmarkEvidence(seen, shapes, lens)
 
 
 def _with_gaze_centered(watched: Watched, fit: ClipFit, generic: GenericHead) -> ClipFit:

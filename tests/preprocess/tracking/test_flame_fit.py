@@ -81,7 +81,7 @@ def test_recovers_identity_pose_and_jaw(flame_file: Path, stand_in) -> None:
     flame = flame_landmarks(load_flame(flame_file, expressions=10_000), embedding, EXPRESSIONS)
     clip, truth = projected(flame)
     rotations, neutral = truth.camera.poses.rotations, truth.model.neutral
-    found = FoundCamera(truth.camera, neutral, 0.0, 170.0, 0.0)
+    found = FoundCamera(truth.camera, neutral, np.tile(neutral, (FRAMES, 1, 1)), 0.0, 170.0, 0.0)
 
     fit = fit_flame(clip, flame, face, found)
 

@@ -7,17 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from preprocess.outline_poses import (
-    DIRECTIONS,
-    Edges,
-    Evidence,
-    Scalp,
-    farthest,
-    outline_distances,
-    reduced_distances,
-    sampled,
-    settle,
-)
+from preprocess.outline_poses import DIRECTIONS, Edges, OutlineEvidence, Scalp, farthest, reduced_distances, sampled
+from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
 from preprocess.rigid import Lens, Observations, Poses, project
 
 SIZE = 512
@@ -76,10 +67,13 @@ def errors(poses: Poses, truth: Poses) -> np.ndarray:
     return np.degrees(apart.magnitude())
 
 
-def evidence_of(masks: list[np.ndarray], landmarks: np.ndarray, shapes: np.ndarray) -> Evidence:
+def evidence_of(
+    masks: list[np.ndarray], landmarks: np.ndarray, shapes: np.ndarray
+) -> tuple[OutlineEvidence, LandmarkEvidence]:
     distances = np.stack([reduced_distances(mask) for mask in masks])
-    seen = Observations(landmarks, np.ones(landmarks.shape[:2]))
-    return Evidence(Edges(distances, distances.shape[2] / SIZE), SCALP, seen, shapes, LENS, 190.0)
+    seen = trusted_landmarks(Observations(landmarks, np.ones(landmarks.shape[:2])), 190.0)
+    outline = OutlineEvidence(Edges(distances, distances.shape[2] / SIZE), SCALP, LENS, 190.0)
+    return outline, LandmarkEvidence(seen, shapes, LENS)
 
 
 def test_distance_to_a_straight_edge_is_read_in_pixels_of_the_image() -> None:
@@ -110,7 +104,8 @@ def test_landmarks_misled_by_a_grimace_are_set_right_by_the_outline(degrees: flo
     found = settle(evidence, wrong, 0.0)
     assert np.allclose(errors(wrong, truth), abs(degrees), atol=1e-6)
     assert errors(found, truth).max() < 0.5 * abs(degrees)
-    assert np.median(outline_distances(evidence, found)) < 0.5 * np.median(outline_distances(evidence, wrong))
+    outline, _ = evidence
+    assert np.median(outline.distances(found)) < 0.5 * np.median(outline.distances(wrong))
 
 
 def test_true_poses_stay_and_a_bow_in_the_hair_turns_no_head() -> None:
