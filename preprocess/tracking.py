@@ -5,48 +5,36 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ggavatar.capture import Tracking
-from ggavatar.errors import InputError
 from ggavatar.face.bundle import CanonicalFace, canonical_face
 from ggavatar.face.drawn_face import drawn_face
 from ggavatar.face.landmarks import LandmarkTracker
 from ggavatar.face.networks import FaceFiles
 from ggavatar.head.model import HeadModel
 from preprocess import models
-from preprocess.clip_fit import Clip, ClipFit, FoundCamera, find_camera, learn_face, reprojection
+from preprocess.clip_fit import ClipFit, FoundCamera, find_camera, learn_face, reprojection
 from preprocess.expression_axes import AXES, score
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
 from preprocess.flame_tracking import track_flame
 from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.in_order import in_order
 from preprocess.options import PrepOptions, TrackingOptions
-from preprocess.outline_poses import Edges, OutlineEvidence, Scalp, reduced_distances
+from preprocess.outline_poses import OutlineEvidence, Scalp
 from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
-from preprocess.rigid import Poses, nearest_true
+from preprocess.rigid import Poses
 from preprocess.sequence import TrackedSequence
-from preprocess.silhouette_fit import (
-    Outlines,
-    chosen_rows,
-    fit_outline,
-    outline_overlap,
-    reduce_mask,
-    vertex_normals,
-)
+from preprocess.silhouette_fit import fit_outline, outline_overlap, vertex_normals
 from preprocess.skin_evidence import SkinEvidence, face_spots
-from preprocess.skin_pictures import SkinPictures, skin_picture
 from preprocess.smoothing import penalty, pose_jitter, smooth
-from preprocess.torso import TorsoMotions, TorsoPivots, neck_motion, torso_motions, torso_poses
-from preprocess.torso_texture import TorsoTracker
+from preprocess.torso import TorsoPivots, neck_motion, torso_poses
 from preprocess.tracked_head import NECK_UNIT, assemble, move_eyes
+from preprocess.watching import Watched, watch
 
-ENOUGH_FRAMES = 8
 BLINK = 0.5
 """Score from which an eye counts as closed."""
 WITHOUT_BUNDLE = (
@@ -55,25 +43,6 @@ WITHOUT_BUNDLE = (
 )
 EXPRESSION_CUTOFF, LID_CUTOFF = 6.0, 9.0
 """Fastest motion of expression and jaw, and of the lids, that is kept, Hz."""
-
-
-@dataclass(frozen=True)
-class Watched:
-    """What one pass over the pictures gave.
-
-    Attributes:
-        clip: Landmarks.
-        torso: How its image moves.
-        outlines: Masks of a few frames.
-        edges: Outlines of all frames, more coarsely.
-        skin: The face's texture in all frames.
-    """
-
-    clip: Clip
-    torso: TorsoMotions
-    outlines: Outlines
-    edges: Edges
-    skin: SkinPictures
 
 
 def track(
@@ -115,37 +84,6 @@ def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]
     if len(found) == 1:
         return LandmarkTracker(found[0]), canonical_face(found[0])
     return LandmarkTracker(FaceFiles(*found)), drawn_face()
-
-
-def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
-    """Landmarks and torso motion of every frame, holding a few pictures at a time."""
-    torso, points, scores, texture, kept, distances, skin = TorsoTracker(), [], [], [], [], [], []
-    rows, size = chosen_rows(len(images)), (0, 0)
-    pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
-    for index, (image, mask) in enumerate(pictures):
-        size = (image.shape[1], image.shape[0])
-        found = tracker.landmarks(image)
-        points.append(None if found is None else found.points)
-        scores.append(np.zeros(52) if found is None else found.blendshapes)
-        texture.append(torso.motion(image, mask, points[-1]))
-        distances.append(reduced_distances(mask))
-        skin.append(skin_picture(image, points[-1]))
-        if index in rows:
-            kept.append(reduce_mask(mask))
-    seen = np.array([here is not None for here in points])
-    if seen.sum() < ENOUGH_FRAMES:
-        raise InputError(
-            f"a face was found in {seen.sum()} of {len(seen)} frames, expected at least {ENOUGH_FRAMES}; "
-            "is the clip a portrait video?"
-        )
-    nearest = nearest_true(seen)
-    filled = np.stack([points[index] for index in nearest])
-    clip = Clip(filled, np.stack(scores)[nearest].astype(np.float64), seen, size, fps)
-    edges = Edges(np.stack(distances), distances[0].shape[1] / size[0])
-    faces = [(float(shape[:, 1].min()), float(shape[:, 1].max())) for shape in filled]
-    motions = torso_motions(texture, edges, faces, fps)
-    outlines = Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0])
-    return Watched(clip, motions, outlines, edges, SkinPictures.of(skin))
 
 
 def track_landmarks(

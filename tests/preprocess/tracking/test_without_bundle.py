@@ -20,7 +20,8 @@ from preprocess.outline_poses import WIDTH, Edges, reduced_distances
 from preprocess.silhouette_fit import Outlines
 from preprocess.skin_pictures import SkinPictures, skin_picture
 from preprocess.torso import TorsoMotions
-from preprocess.tracking import Watched, track_landmarks
+from preprocess.tracking import track_landmarks
+from preprocess.watching import Watched
 
 FRAMES, SIZE, FOCAL = 40, 512, 1100.0
 NOISE = 0.3

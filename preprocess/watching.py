@@ -1,0 +1,71 @@
+"""One pass over a clip's pictures: everything that tracking needs of them, in little memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ggavatar.errors import InputError
+from ggavatar.face.landmarks import LandmarkTracker
+from preprocess.clip_fit import Clip
+from preprocess.in_order import in_order
+from preprocess.outline_poses import Edges, reduced_distances
+from preprocess.rigid import nearest_true
+from preprocess.silhouette_fit import Outlines, chosen_rows, reduce_mask
+from preprocess.skin_pictures import SkinPictures, skin_picture
+from preprocess.torso import TorsoMotions, torso_motions
+from preprocess.torso_texture import TorsoTracker
+
+ENOUGH_FRAMES = 8
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What one pass over the pictures gave.
+
+    Attributes:
+        clip: Landmarks.
+        torso: How its image moves.
+        outlines: Masks of a few frames.
+        edges: Outlines of all frames, more coarsely.
+        skin: The face's texture in all frames.
+    """
+
+    clip: Clip
+    torso: TorsoMotions
+    outlines: Outlines
+    edges: Edges
+    skin: SkinPictures
+
+
+def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
+    """Landmarks and torso motion of every frame, holding a few pictures at a time."""
+    torso, points, scores, texture, kept, distances, skin = TorsoTracker(), [], [], [], [], [], []
+    rows, size = chosen_rows(len(images)), (0, 0)
+    pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
+    for index, (image, mask) in enumerate(pictures):
+        size = (image.shape[1], image.shape[0])
+        found = tracker.landmarks(image)
+        points.append(None if found is None else found.points)
+        scores.append(np.zeros(52) if found is None else found.blendshapes)
+        texture.append(torso.motion(image, mask, points[-1]))
+        distances.append(reduced_distances(mask))
+        skin.append(skin_picture(image, points[-1]))
+        if index in rows:
+            kept.append(reduce_mask(mask))
+    seen = np.array([here is not None for here in points])
+    if seen.sum() < ENOUGH_FRAMES:
+        raise InputError(
+            f"a face was found in {seen.sum()} of {len(seen)} frames, expected at least {ENOUGH_FRAMES}; "
+            "is the clip a portrait video?"
+        )
+    nearest = nearest_true(seen)
+    filled = np.stack([points[index] for index in nearest])
+    clip = Clip(filled, np.stack(scores)[nearest].astype(np.float64), seen, size, fps)
+    edges = Edges(np.stack(distances), distances[0].shape[1] / size[0])
+    faces = [(float(shape[:, 1].min()), float(shape[:, 1].max())) for shape in filled]
+    motions = torso_motions(texture, edges, faces, fps)
+    outlines = Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0])
+    return Watched(clip, motions, outlines, edges, SkinPictures.of(skin))
