@@ -81,6 +81,14 @@ def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
     return mask
 
 
+def test_what_hangs_on_the_generic_heads_root_hangs_on_the_torso(generic: GenericHead) -> None:
+    own, torso = generic.head.skinning_weights.numpy(), JOINT_NAMES.index("torso")
+    np.testing.assert_allclose(generic.weights[: len(own), torso], own[:, 0], atol=1e-6)
+    np.testing.assert_allclose(generic.weights.sum(axis=1), 1.0, atol=1e-6)
+    assert (generic.weights[generic.regions["torso"], torso] == 1).all()
+    assert not generic.weights[:, [0, JOINT_NAMES.index("cervical")]].any()
+
+
 def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
     watched, rotations, jaw = performed(generic)
     found = track_landmarks(watched, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
