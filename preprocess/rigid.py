@@ -206,13 +206,20 @@ def pose_information(
 def smooth_steps(information: np.ndarray, gradient: np.ndarray, poses: Poses, smoothness: float) -> np.ndarray:
     """Solve for the steps of all frames, with second differences of the moved poses penalised (a banded system)."""
     count = len(information)
-    typical = np.median(information, axis=0)
+    typical = _definite(np.median(information, axis=0))
     damping = 1e-6 * np.diag(np.diag(typical)) + 1e-12 * np.eye(POSE)
     if smoothness == 0 or count < 3:
         return np.linalg.solve(information + damping, gradient[..., None])[..., 0]
     metric = smoothness * typical
     gradient = gradient - (_stencil_transpose(_accelerations(poses)) @ metric.T)
     return solve_smooth(information + damping, gradient, metric)
+
+
+def _definite(matrix: Float[np.ndarray, "N N"]) -> Float[np.ndarray, "N N"]:
+    """The nearest matrix that can be a metric: a median taken entry by entry need not be positive definite."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    return (vectors * np.maximum(values, 1e-6)) @ vectors.T * np.outer(scale, scale)
 
 
 def solve_smooth(

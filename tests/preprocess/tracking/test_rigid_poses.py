@@ -16,6 +16,7 @@ from preprocess.rigid import (
     project,
     projection_slopes,
     refine_poses,
+    smooth_steps,
 )
 from preprocess.smoothing import jitter, penalty, pose_jitter, smooth
 
@@ -109,3 +110,17 @@ def test_jitter_of_white_noise_is_its_deviation_and_of_slow_motion_nothing() -> 
 def test_nearest_true() -> None:
     flags = np.array([False, True, False, False, False, True, False])
     assert nearest_true(flags).tolist() == [1, 1, 1, 1, 5, 5, 5]
+
+
+def test_poses_are_smoothed_where_the_median_of_their_information_is_indefinite() -> None:
+    """Three positive semidefinite matrices whose entrywise median has the eigenvalue −1 (numpy.linalg.eigvalsh)."""
+    single = np.zeros((3, 6, 6))
+    for index, signs in enumerate(([1, 1, -1], [1, -1, 1], [-1, 1, 1])):
+        single[index, :3, :3] = np.outer(signs, signs)
+        single[index, 3:, 3:] = np.eye(3)
+    information = np.tile(single, (5, 1, 1))
+    assert np.linalg.eigvalsh(np.median(information, axis=0)).min() < -0.9
+    count = len(information)
+    poses = Poses(np.tile(np.eye(3), (count, 1, 1)), np.tile([0.0, 0.0, 1.0], (count, 1)))
+    steps = smooth_steps(information, np.zeros((count, 6)), poses, 10.0)
+    np.testing.assert_allclose(steps, 0.0, atol=1e-9)
