@@ -28,7 +28,16 @@ from preprocess.expression_basis import (
 from preprocess.face_model import FaceModel, FaceMotion
 from preprocess.face_topology import MESH_POINTS, anchoring, rigidity
 from preprocess.generic_head import JOINT_NAMES, GenericHead
-from preprocess.rigid import Lens, Observations, Poses, initial_poses, nearest_true, project, refine_poses
+from preprocess.rigid import (
+    Lens,
+    Observations,
+    Poses,
+    initial_poses,
+    nearest_true,
+    project,
+    refine_poses,
+    spread_evenly,
+)
 from preprocess.smoothing import penalty
 from preprocess.tracked_head import PersonalShape, fit_shape, lid_axes
 
@@ -184,7 +193,7 @@ def keyframes(clip: Clip, poses: Poses) -> np.ndarray:
     And those whose head turns differ most from the others.
     """
     seen = np.flatnonzero(clip.seen)
-    chosen = list(seen[np.unique(np.linspace(0, len(seen) - 1, KEYFRAMES).round().astype(int))])
+    chosen = list(seen[spread_evenly(len(seen), KEYFRAMES)])
     turns = Rotation.from_matrix(poses.rotations).as_rotvec()[seen]
     distance = np.min(np.linalg.norm(turns[:, None] - turns[np.isin(seen, chosen)][None], axis=-1), axis=1)
     for _ in range(min(SPREAD_FRAMES, len(seen) - len(chosen))):

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int8, UInt8
+from jaxtyping import Bool, Float, Int8, UInt8
 
-from preprocess.rigid import CHUNK, Lens, Poses, pose_slopes, project, projection_slopes
+from preprocess.bilinear import bilinear
+from preprocess.rigid import CHUNK, Lens, Poses, pose_slopes, project, projection_slopes, robust_weights
 
 WIDTH = 128
 """Masks are kept at this width, px."""
@@ -105,7 +106,7 @@ class OutlineEvidence:
         distances, known = sampled(self.edges, chosen, pixels)
         error = OUTLINE_ERROR * self.width
         known &= (flat > FLAT) & (rows >= 0)
-        weights = known / (1 + (distances / (3 * error)) ** 2) ** 2 / error**2
+        weights = robust_weights(distances[..., None], known / error**2, 3.0)
         weights *= OUTLINE_COUNT / np.maximum(known.sum(axis=1, keepdims=True), OUTLINE_COUNT)
         places = seen[frames, rows]
         slopes = pose_slopes(places, here, projection_slopes(places, lens.focal))
@@ -137,17 +138,8 @@ def farthest(pixels: Float[np.ndarray, "T V 2"], poses: Poses) -> np.ndarray:
 
 def sampled(
     edges: Edges, chosen: slice, pixels: Float[np.ndarray, "T V 2"]
-) -> tuple[Float[np.ndarray, "T V"], np.ndarray]:
+) -> tuple[Float[np.ndarray, "T V"], Bool[np.ndarray, "T V"]]:
     """Signed distances to the outline at image positions, px, and whether they are known (in the picture, and near)."""
     maps = edges.distances[chosen]
-    height, width = maps.shape[1:]
-    places = pixels * edges.scale - 0.5
-    corner = np.floor(places).astype(int)
-    within = ((corner >= 0) & (corner < [width - 1, height - 1])).all(axis=-1)
-    x, y = np.clip(corner[..., 0], 0, width - 2), np.clip(corner[..., 1], 0, height - 2)
-    u, v = places[..., 0] - x, places[..., 1] - y
-    frames = np.arange(len(maps))[:, None]
-    upper = (1 - u) * maps[frames, y, x] + u * maps[frames, y, x + 1]
-    lower = (1 - u) * maps[frames, y + 1, x] + u * maps[frames, y + 1, x + 1]
-    value = (1 - v) * upper + v * lower
-    return value / STEPS / edges.scale, within & (np.abs(value) < STEPS * (FARTHEST - 1))
+    values, _, within = bilinear(maps, np.arange(len(maps)), pixels * edges.scale)
+    return values / STEPS / edges.scale, within & (np.abs(values) < STEPS * (FARTHEST - 1))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
@@ -112,15 +112,15 @@ def pose_slopes(
 
 
 def robust_weights(
-    residuals: Float[np.ndarray, "T N 2"], weights: Float[np.ndarray, "T N"], scale: float
+    residuals: Float[np.ndarray, "T N K"], weights: Float[np.ndarray, "T N"], scale: float
 ) -> Float[np.ndarray, "T N"]:
     """Weights times the Geman–McClure factor: a point off by `scale` standard deviations counts a quarter.
 
     Far ones hardly at all.
 
     Args:
-        residuals: Observed minus predicted, px.
-        weights: Inverse variances, 1/px².
+        residuals: Observed minus predicted: K numbers, such as px in both directions.
+        weights: Inverse variances of each.
         scale: In standard deviations.
     """
     squared = (residuals**2).sum(axis=-1) * weights / scale**2
@@ -153,6 +153,11 @@ def nearest_true(flags: np.ndarray) -> np.ndarray:
     before = np.maximum(after - 1, 0)
     closer = np.abs(true[before] - positions) <= np.abs(true[after] - positions)
     return np.where(closer, true[before], true[after])
+
+
+def spread_evenly(count: int, most: int) -> Int[np.ndarray, " K"]:
+    """At most so many of `count` positions, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
 
 
 def refine_poses(

@@ -20,6 +20,7 @@ from ggavatar.head.model import HeadModel
 from preprocess.generic_head import GenericHead
 from preprocess.in_order import in_order
 from preprocess.posing import overlap, posed_vertices, project, silhouette
+from preprocess.rigid import spread_evenly
 from preprocess.surface_extension import SurfaceExtension
 
 WIDTH = 192
@@ -57,7 +58,7 @@ class Outlines:
 
 def chosen_rows(count: int) -> Int[np.ndarray, " K"]:
     """Evenly spread frames whose masks are worth keeping."""
-    return np.unique(np.linspace(0, count - 1, FRAMES).round().astype(np.int64))
+    return spread_evenly(count, FRAMES)
 
 
 def reduce_mask(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "h w"]:

@@ -6,6 +6,7 @@ does not. Spots all over the rigid part of the face are compared with how they l
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,7 +17,7 @@ from scipy.spatial import Delaunay
 from ggavatar.face.bundle import CanonicalFace
 from preprocess.face_topology import LOWER_LIP_MARGIN, UPPER_LIP_MARGIN, lids, rigidity
 from preprocess.in_order import in_order
-from preprocess.rigid import Lens, Poses, pose_slopes, project, projection_slopes
+from preprocess.rigid import Lens, Poses, pose_slopes, project, projection_slopes, robust_weights, spread_evenly
 from preprocess.skin_pictures import SkinPictures
 
 CHUNK = 50
@@ -93,30 +94,17 @@ class SkinEvidence:
 
     def information(self, poses: Poses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
         """Of every frame's pose; frames without a face tell nothing."""
-        frames = np.arange(len(self.seen))
-        chunk = partial(self._chunk_information, poses, self._reference(poses))
-        parts = in_order(chunk, [frames[first : first + CHUNK] for first in range(0, len(frames), CHUNK)])
-        information, gradient = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return information, gradient
+        reference = self._reference(poses)
+        return in_chunks(partial(self._chunk_information, poses, reference), np.arange(len(self.seen)))
 
     def _reference(self, poses: Poses) -> Float[np.ndarray, " P"]:
         """How the spots look in most of some frames."""
         seen = np.flatnonzero(self.seen)
-        frames = seen[np.unique(np.linspace(0, len(seen) - 1, REFERENCE_FRAMES).round().astype(int))]
-        looks, visible = (
-            np.concatenate(part)
-            for part in zip(
-                *in_order(
-                    partial(self._looks, poses),
-                    [frames[first : first + CHUNK] for first in range(0, len(frames), CHUNK)],
-                ),
-                strict=True,
-            )
-        )
+        looks, visible = in_chunks(partial(self._looks, poses), seen[spread_evenly(len(seen), REFERENCE_FRAMES)])
         weights = visible
         for _ in range(REFERENCE_ROUNDS):
             reference = (weights * looks).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-6)
-            weights = visible * _usual(looks - reference)
+            weights = visible * _robust(looks - reference)
         return reference
 
     def _looks(self, poses: Poses, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,14 +129,23 @@ class SkinEvidence:
         places, visible = self._places(here, frames)
         looks, slopes, known = self.pictures.sampled(frames, project(places, self.lens))
         missed = reference - looks
-        weights = visible * known * self.spots.trust * self.seen[frames, None] * _usual(missed)
-        weights = weights * (SKIN_COUNT / len(reference) / SKIN_ERROR**2)
+        weights = visible * known * self.spots.trust * self.seen[frames, None] * _robust(missed)
+        weights = weights * (SKIN_COUNT / len(reference))
         jacobian = np.matmul(slopes[:, :, None], pose_slopes(places, here, projection_slopes(places, self.lens.focal)))
         rows = jacobian[:, :, 0]
         weighted = rows * weights[..., None]
         return weighted.transpose(0, 2, 1) @ rows, np.einsum("tpa,tp->ta", weighted, missed)
 
 
-def _usual(missed: np.ndarray) -> np.ndarray:
-    """Geman–McClure weights: shadows and wrinkles hardly count."""
-    return 1 / (1 + (missed / SKIN_ERROR) ** 2) ** 2
+def _robust(missed: Float[np.ndarray, "T P"]) -> Float[np.ndarray, "T P"]:
+    """Inverse variances that shadows and wrinkles hardly have."""
+    return robust_weights(missed[..., None], np.full(missed.shape, SKIN_ERROR**-2), 1.0)
+
+
+def in_chunks(
+    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], frames: Int[np.ndarray, " K"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a function of a few frames says of many, by several threads."""
+    parts = in_order(function, [frames[first : first + CHUNK] for first in range(0, len(frames), CHUNK)])
+    first, second = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return first, second

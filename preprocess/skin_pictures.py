@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, Int8, UInt8
+from jaxtyping import Bool, Float, Int, Int8, UInt8
+
+from preprocess.bilinear import bilinear
 
 SIDE = 96
 """Side of the pictures, px of their own."""
@@ -55,21 +57,11 @@ class SkinPictures:
 
     def sampled(
         self, frames: Int[np.ndarray, " K"], pixels: Float[np.ndarray, "K P 2"]
-    ) -> tuple[Float[np.ndarray, "K P"], Float[np.ndarray, "K P 2"], np.ndarray]:
+    ) -> tuple[Float[np.ndarray, "K P"], Float[np.ndarray, "K P 2"], Bool[np.ndarray, "K P"]]:
         """Contrast at image positions, its slope per px of the image, and whether they lie in the picture."""
         scale = self.scales[frames][:, None, None]
-        places = (pixels - self.corners[frames][:, None]) * scale - 0.5
-        corner = np.floor(places).astype(int)
-        known = ((corner >= 0) & (corner < SIDE - 1)).all(axis=-1)
-        x, y = np.clip(corner, 0, SIDE - 2).transpose(2, 0, 1)
-        u, v = (places - np.stack((x, y), axis=-1)).astype(np.float32).transpose(2, 0, 1)
-        maps, rows = self.contrast, frames[:, None]
-        upper, upper_right = maps[rows, y, x].astype(np.float32), maps[rows, y, x + 1].astype(np.float32)
-        lower, lower_right = maps[rows, y + 1, x].astype(np.float32), maps[rows, y + 1, x + 1].astype(np.float32)
-        top, bottom = upper + u * (upper_right - upper), lower + u * (lower_right - lower)
-        across = (1 - v) * (upper_right - upper) + v * (lower_right - lower)
-        slopes = np.stack((across, bottom - top), axis=-1) * scale
-        return (top + v * (bottom - top)) / STEPS, slopes / STEPS, known
+        values, slopes, known = bilinear(self.contrast, frames, (pixels - self.corners[frames][:, None]) * scale)
+        return values / STEPS, slopes * scale / STEPS, known
 
 
 def skin_picture(image: UInt8[np.ndarray, "H W 3"], points: Float[np.ndarray, "N 2"] | None) -> SkinPicture:
@@ -80,10 +72,8 @@ def skin_picture(image: UInt8[np.ndarray, "H W 3"], points: Float[np.ndarray, "N
     side = max(8, round(MARGIN * float((high - low).max())))
     left, top = np.floor((low + high) / 2 - side / 2).astype(int).tolist()
     height, width = image.shape[:2]
-    rows, columns = (
-        np.clip(np.arange(top, top + side), 0, height - 1),
-        np.clip(np.arange(left, left + side), 0, width - 1),
-    )
+    rows = np.clip(np.arange(top, top + side), 0, height - 1)
+    columns = np.clip(np.arange(left, left + side), 0, width - 1)
     inside = image[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     grey = cv2.cvtColor(inside, cv2.COLOR_RGB2GRAY)[np.ix_(rows - rows[0], columns - columns[0])]
     small = cv2.resize(grey, (SIDE, SIDE), interpolation=cv2.INTER_AREA)

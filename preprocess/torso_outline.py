@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from preprocess.outline_poses import STEPS, Edges, sampled
-from preprocess.rigid import solve_smooth
+from preprocess.rigid import robust_weights, solve_smooth
 from preprocess.smoothing import penalty
 
 SIZE_ERROR = 0.01
@@ -128,7 +128,7 @@ def _corrections(
         distances, known = sampled(edges, slice(None), here)
         always = np.ma.median(np.ma.array(distances, mask=~known), axis=0).filled(0.0)
         left = distances - always
-        weights = known / (1 + (left / (3 * looseness * error)) ** 2) ** 2 / error**2
+        weights = robust_weights(left[..., None], known / error**2, 3 * looseness)
         weights *= OUTLINE_COUNT / np.maximum(known.sum(axis=1, keepdims=True), ENOUGH_PLACES)
         information = np.einsum("tp,pa,pb->tab", weights, slopes, slopes)
         wanted = np.einsum("tab,tb->ta", information, parts) - np.einsum("tp,tp,pa->ta", weights, left, slopes)

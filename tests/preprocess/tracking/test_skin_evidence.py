@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
-from scipy.spatial import Delaunay
+from drawn_skin import freckled
 from scipy.spatial.transform import Rotation
 
 from ggavatar.face.bundle import CanonicalFace
@@ -31,37 +29,9 @@ def face() -> CanonicalFace:
 
 def posed(degrees: np.ndarray) -> Poses:
     """A nodding head a metre away."""
-    facing, turns = (
-        Rotation.from_euler("x", 180, degrees=True),
-        Rotation.from_euler("x", degrees[:, None], degrees=True),
-    )
+    facing = Rotation.from_euler("x", 180, degrees=True)
+    turns = Rotation.from_euler("x", degrees[:, None], degrees=True)
     return Poses((facing * turns).as_matrix(), np.tile([0.0, 0.0, 1.0], (len(degrees), 1)))
-
-
-def drawn(face: CanonicalFace, poses: Poses, light: np.ndarray) -> list[np.ndarray]:
-    """Pictures of the face with freckles fixed to its skin, triangle by triangle, under changing light."""
-    generator = np.random.default_rng(1)
-    freckles = gaussian_filter(generator.standard_normal((SIZE, SIZE)), 2.5)
-    texture = np.clip(140 + 60 * freckles / freckles.std(), 0, 255).astype(np.float32)
-    flat = 128 + face.vertices[:, :2] * [1000, -1000]
-    triangles = Delaunay(flat).simplices
-    pictures = []
-    for index, brightness in enumerate(light):
-        pixels = project(poses[index : index + 1].to_camera(face.vertices[None]), LENS)[0]
-        picture = np.full((SIZE, SIZE), 230, np.float32)
-        for triangle in triangles:
-            matrix = cv2.getAffineTransform(
-                (flat[triangle] - 0.5).astype(np.float32), (pixels[triangle] - 0.5).astype(np.float32)
-            )
-            inside = np.zeros((SIZE, SIZE), np.uint8)
-            cv2.fillConvexPoly(inside, np.round((pixels[triangle] - 0.5) * 16).astype(np.int32), 1, shift=4)
-            left, top, width, height = cv2.boundingRect(np.round(pixels[triangle]).astype(np.int32))
-            box = (slice(max(top - 2, 0), top + height + 2), slice(max(left - 2, 0), left + width + 2))
-            matrix = matrix - np.array([[0, 0, box[1].start], [0, 0, box[0].start]], matrix.dtype)
-            shape = inside[box].shape[::-1]
-            picture[box] = np.where(inside[box] > 0, cv2.warpAffine(texture, matrix, shape), picture[box])
-        pictures.append(np.repeat(np.clip(brightness * picture, 0, 255).astype(np.uint8)[..., None], 3, axis=2))
-    return pictures
 
 
 def errors(poses: Poses, truth: Poses) -> np.ndarray:
@@ -75,7 +45,8 @@ def nodding(face: CanonicalFace) -> tuple[Poses, Poses, SkinEvidence, LandmarkEv
     """True poses, those that sliding landmarks tell, and the evidence of both kinds."""
     truth, told = posed(8 * NOD), posed(8 * (1 - HIDDEN) * NOD)
     landmarks = project(told.to_camera(face.vertices[None]), LENS)
-    pictures = drawn(face, truth, 1 - 0.2 * np.cos(np.arange(FRAMES)))
+    light = 1 - 0.2 * np.cos(np.arange(FRAMES))
+    pictures = freckled(face.vertices, project(truth.to_camera(face.vertices[None]), LENS), SIZE, light)
     skin = SkinPictures.of([skin_picture(image, points) for image, points in zip(pictures, landmarks, strict=True)])
     shapes, seen = np.tile(face.vertices, (FRAMES, 1, 1)), np.ones(FRAMES, bool)
     observed = Observations(landmarks, np.tile(rigidity(face) * anchoring(face), (FRAMES, 1)))

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from drawn_skin import freckled
 from scipy.spatial.transform import Rotation
 
 from ggavatar.face.drawn_face import drawn_face
@@ -62,14 +63,15 @@ def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
     points = np.concatenate((points, np.tile(eyes, (FRAMES, 1, 1))), axis=1)
     seen = points @ rotations.transpose(0, 2, 1) + [0.0, 0.02, 1.05]
     pixels = FOCAL * seen[..., :2] / seen[..., 2:] + SIZE / 2
+    pictures = freckled(rest, pixels[:, :468], SIZE, np.ones(FRAMES))
     pixels += np.random.default_rng(0).normal(0, NOISE, pixels.shape)
     clip = Clip(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
     masks = [silhouette(generic, rotation) for rotation in rotations]
     edges = Edges(np.stack([reduced_distances(mask) for mask in masks]), WIDTH / SIZE)
     outlines = Outlines(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
-    plain = SkinPictures.of([skin_picture(np.full((SIZE, SIZE, 3), 128, np.uint8), points) for points in pixels])
+    skin = SkinPictures.of([skin_picture(*seen) for seen in zip(pictures, pixels, strict=True)])
     motions = TorsoMotions([None] * FRAMES, [None] * FRAMES)
-    return Watched(clip, motions, outlines, edges, plain), rotations, jaw
+    return Watched(clip, motions, outlines, edges, skin), rotations, jaw
 
 
 def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
@@ -94,7 +96,7 @@ def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHe
     found = track_landmarks(watched, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
     turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
     apart = np.degrees((turned * turned.mean().inv()).magnitude())
-    assert np.median(apart) < 1.2  # plain skin tells nothing here
+    assert np.median(apart) < 1.0
     assert found.report["reprojection_px"]["median"] < 2 * NOISE
     assert "wheel" in found.report["notes"][0] and found.report["notes"][0] in found.report["warnings"]
     assert "mediapipe" in found.report["networks"]
