@@ -20,6 +20,8 @@ from preprocess.rigid import Lens, Observations, Poses, project, projection_slop
 CHUNK = 64
 NAMED_SPREAD, LID_SPREAD, OWN_SPREAD, JAW_SPREAD = 0.25, 0.35, 1.0, 0.08
 """Standard deviations of coefficients about their expectation (scores; for own axes zero); jaw in rad."""
+PAIRS = np.triu_indices(3)
+"""Rows and columns of the upper triangle of a symmetric 3 × 3 matrix."""
 
 
 @dataclass(frozen=True)
@@ -100,50 +102,82 @@ class Expectation:
 def fit_motion(
     observed: Observations, camera: Camera, model: FaceModel, expected: Expectation, iterations: int = 2
 ) -> FaceMotion:
-    """Most likely coefficients and jaw turn of every frame given its landmarks (Gauss–Newton, robust.
+    """Most likely coefficients and jaw turn of every frame given its landmarks (robust Gauss–Newton)."""
+    columns = np.concatenate((model.axes, model.jaw_slopes()), axis=-1)
+    products = paired_products(columns)
 
-    Frame by frame).
-    """
-
-    def fit(first: int) -> FaceMotion:
+    def fit(first: int) -> np.ndarray:
         chosen = slice(first, first + CHUNK)
         local = Camera(camera.lens, camera.poses[chosen])
-        return _fit_chunk(observed[chosen], local, model, expected.frames(chosen), iterations)
+        state = mean[chosen]
+        for _ in range(iterations):
+            information, pull = _landmark_information(observed[chosen], local, model, state)
+            normal = symmetric(information @ products, columns.shape[-1]) + np.diag(prior)
+            gradient = pull @ columns.reshape(-1, columns.shape[-1]) + prior * (mean[chosen] - state)
+            state = state + np.linalg.solve(normal, gradient[..., None])[..., 0]
+        return state
 
-    parts = list(in_order(fit, range(0, len(observed.points), CHUNK)))
-    return FaceMotion(
-        np.concatenate([part.coefficients for part in parts]), np.concatenate([part.jaw for part in parts])
-    )
-
-
-def _fit_chunk(
-    observed: Observations, camera: Camera, model: FaceModel, expected: Expectation, iterations: int
-) -> FaceMotion:
     prior = np.concatenate((expected.spreads**-2, np.full(JAW_DEGREES, expected.jaw_spread**-2)))
     mean = np.concatenate((expected.coefficients, expected.jaw), axis=1)
-    state = mean.copy()
-    for _ in range(iterations):
-        coefficients, jaw = state[:, :-JAW_DEGREES], state[:, -JAW_DEGREES:]
-        seen = camera.poses.to_camera(model.shapes(coefficients, jaw))
-        residuals = observed.points - project(seen, camera.lens)
-        weights = robust_weights(residuals, observed.weights, 3.0)
-        slopes = np.einsum("tnxa,tab->tnxb", projection_slopes(seen, camera.lens.focal), camera.poses.rotations)
-        by_axis = np.matmul(np.matmul(slopes, model.blends(jaw)), model.axes)
-        jacobian = np.concatenate((by_axis, np.matmul(slopes, model.jaw_slopes())), axis=-1)
-        jacobian, residuals = jacobian * np.sqrt(weights)[..., None, None], residuals * np.sqrt(weights)[..., None]
-        rows = jacobian.reshape(len(jacobian), -1, jacobian.shape[-1])
-        normal = rows.transpose(0, 2, 1) @ rows + np.diag(prior)
-        gradient = np.einsum("tra,tr->ta", rows, residuals.reshape(len(rows), -1)) + prior * (mean - state)
-        state = state + np.linalg.solve(normal, gradient[..., None])[..., 0]
-    return FaceMotion(state[:, :-JAW_DEGREES], state[:, -JAW_DEGREES:])
+    found = np.concatenate(list(in_order(fit, range(0, len(mean), CHUNK))))
+    return FaceMotion(found[:, :-JAW_DEGREES], found[:, -JAW_DEGREES:])
+
+
+def _landmark_information(
+    observed: Observations, camera: Camera, model: FaceModel, state: Float[np.ndarray, "T A"]
+) -> tuple[Float[np.ndarray, "T M"], Float[np.ndarray, "T K"]]:
+    """What every frame's landmarks tell of displacements before the jaw turns them.
+
+    Information (six numbers a landmark, as `PAIRS` has them) and gradient (three).
+    """
+    coefficients, jaw = state[:, :-JAW_DEGREES], state[:, -JAW_DEGREES:]
+    residuals, slopes = _weighted_slopes(observed, camera, model, FaceMotion(coefficients, jaw))
+    information = (slopes[..., PAIRS[0]] * slopes[..., PAIRS[1]]).sum(axis=-2)
+    gradient = (slopes * residuals[..., None]).sum(axis=-2)
+    return information.reshape(len(state), -1), gradient.reshape(len(state), -1)
+
+
+def _weighted_slopes(
+    observed: Observations, camera: Camera, model: FaceModel, motion: FaceMotion
+) -> tuple[Float[np.ndarray, "T N 2"], Float[np.ndarray, "T N 2 3"]]:
+    """Residuals of landmarks, and how they change with displacements before the jaw turns them.
+
+    Both over the standard deviation.
+    """
+    seen = camera.poses.to_camera(model.shapes(motion.coefficients, motion.jaw))
+    residuals = observed.points - project(seen, camera.lens)
+    deviations = np.sqrt(robust_weights(residuals, observed.weights, 3.0))[..., None]
+    turned = np.einsum("tab,tnbc->tnac", camera.poses.rotations, model.blends(motion.jaw), optimize=True)
+    slopes = np.einsum("tnxa,tnab->tnxb", projection_slopes(seen, camera.lens.focal), turned)
+    return residuals * deviations, slopes * deviations[..., None]
+
+
+def paired_products(columns: Float[np.ndarray, "N 3 A"]) -> Float[np.ndarray, "M P"]:
+    """Products of two columns each, so that Σ columnsᵀ G columns over landmarks is one matrix product.
+
+    Rows are landmarks times `PAIRS`, columns the upper triangle of the A × A result.
+    """
+    first, second = np.triu_indices(columns.shape[-1])
+    here, there = columns[:, PAIRS[0]], columns[:, PAIRS[1]]
+    once = here[..., first] * there[..., second]
+    twice = there[..., first] * here[..., second]
+    return (once + (PAIRS[0] != PAIRS[1])[:, None] * twice).reshape(-1, len(first))
+
+
+def symmetric(triangles: Float[np.ndarray, "T P"], size: int) -> Float[np.ndarray, "T A A"]:
+    """Matrices from their upper triangles."""
+    matrices = np.empty((len(triangles), size, size))
+    first, second = np.triu_indices(size)
+    matrices[:, first, second] = matrices[:, second, first] = triangles
+    return matrices
 
 
 def refine_axes(
     observed: Observations, camera: Camera, model: FaceModel, motion: FaceMotion, learned: Float[np.ndarray, " A"]
 ) -> FaceModel:
-    """Neutral shape and axes that explain the image positions best, given poses.
+    """Neutral shape and axes that explain the image positions best, given poses, coefficients and jaw.
 
-    Coefficients and jaw (one small system a landmark).
+    One small system a landmark.
 
     Args:
         observed: Landmarks.
@@ -152,24 +186,16 @@ def refine_axes(
         motion: Of all frames.
         learned: 1 for axes that may change, 0 for those that are given (lids).
     """
-    shapes = model.shapes(motion.coefficients, motion.jaw)
     design = np.column_stack((motion.coefficients * learned, np.ones(len(motion.jaw))))
-    size = design.shape[1]
-    normal = np.zeros((len(model.neutral), size * 3, size * 3))
-    vector = np.zeros((len(model.neutral), size * 3))
-    for first in range(0, len(design), CHUNK):
-        chosen = slice(first, first + CHUNK)
-        poses, used = camera.poses[chosen], design[chosen]
-        seen = poses.to_camera(shapes[chosen])
-        residuals = observed.points[chosen] - project(seen, camera.lens)
-        weights = robust_weights(residuals, observed.weights[chosen], 3.0)
-        slopes = np.einsum("tnxa,tab->tnxb", projection_slopes(seen, camera.lens.focal), poses.rotations)
-        slopes = np.matmul(slopes, model.blends(motion.jaw[chosen])) * np.sqrt(weights)[..., None, None]
-        rows = np.einsum("ts,tnxa->ntxsa", used, slopes, optimize=True).reshape(len(normal), -1, size * 3)
-        normal += rows.transpose(0, 2, 1) @ rows
-        flat = (residuals * np.sqrt(weights)[..., None]).transpose(1, 0, 2).reshape(len(normal), -1, 1)
-        vector += (rows.transpose(0, 2, 1) @ flat)[..., 0]
+    size, count = design.shape[1], len(model.neutral)
+    residuals, slopes = _weighted_slopes(observed, camera, model, motion)
+    information = np.matmul(slopes.swapaxes(-1, -2), slopes).reshape(len(design), -1)
+    gradient = (slopes * residuals[..., None]).sum(axis=-2).reshape(len(design), -1)
+    outer = (design[:, :, None] * design[:, None]).reshape(len(design), -1)
+    normal = (outer.T @ information).reshape(size, size, count, 3, 3).transpose(2, 0, 3, 1, 4)
+    vector = (design.T @ gradient).reshape(size, count, 3).transpose(1, 0, 2)
     pull = np.tile([1.0, 1.0, 4.0], size) / 0.002**2
-    steps = np.linalg.solve(normal + np.diag(pull), vector[..., None])[..., 0].reshape(len(normal), size, 3)
+    normal = normal.reshape(count, 3 * size, 3 * size) + np.diag(pull)
+    steps = np.linalg.solve(normal, vector.reshape(count, -1, 1)).reshape(count, size, 3)
     axes = model.axes + np.moveaxis(steps[:, :-1], 1, 2) * learned
     return dataclasses.replace(model, neutral=model.neutral + steps[:, -1], axes=axes)

@@ -26,6 +26,10 @@ class PoseEvidence(Protocol):
         """Information matrix and gradient of every frame's pose, in the steps of `Poses.moved`."""
         ...
 
+    def corrected(self, poses: Poses) -> PoseEvidence:
+        """The same with what it does not know of the head as it would be, were the poses these."""
+        ...
+
 
 @dataclass(frozen=True)
 class LandmarkEvidence:
@@ -45,6 +49,10 @@ class LandmarkEvidence:
         """Of every frame's pose."""
         return pose_information(self.observed, self.shapes, self.lens, poses)
 
+    def corrected(self, poses: Poses) -> LandmarkEvidence:
+        """The same: it takes its shapes for known."""
+        return self
+
 
 def trusted_landmarks(seen: Observations, width: float) -> Observations:
     """Landmarks with variances such that all together are worth `LANDMARKS_COUNT`.
@@ -58,15 +66,17 @@ def trusted_landmarks(seen: Observations, width: float) -> Observations:
 
 
 def settle(evidence: Sequence[PoseEvidence], poses: Poses, smoothness: float) -> Poses:
-    """Poses between all evidence (Gauss–Newton on all frames at once).
+    """Poses between all evidence (Gauss–Newton on all frames at once), which is corrected by them in every round.
 
     Args:
         evidence: What tells of poses.
         poses: Where to start.
         smoothness: Penalty on second differences; see `rigid.refine_poses`.
     """
+    known = list(evidence)
     for _ in range(ROUNDS):
-        told = [one.information(poses) for one in evidence]
+        known = [one.corrected(poses) for one in known]
+        told = [one.information(poses) for one in known]
         information, gradient = (sum(parts[1:], parts[0]) for parts in zip(*told, strict=True))
         poses = poses.moved(smooth_steps(information, gradient, poses, smoothness))
     return poses

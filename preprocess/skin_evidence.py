@@ -7,7 +7,7 @@ does not. Spots all over the rigid part of the face are compared with how they l
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
 from ggavatar.face.bundle import CanonicalFace
+from preprocess.adjustment import ShapePrior
 from preprocess.face_topology import LOWER_LIP_MARGIN, UPPER_LIP_MARGIN, lids, rigidity
 from preprocess.in_order import in_order
 from preprocess.rigid import Lens, Poses, pose_slopes, project, projection_slopes, robust_weights, spread_evenly
@@ -43,11 +44,13 @@ class Spots:
         corners: Landmarks at the corners of each spot's triangle, counterclockwise from outside.
         weights: Barycentric.
         trust: That the spot is fixed to the skull.
+        modes: Offsets in depth per unit of a coefficient with standard normal prior, m.
     """
 
     corners: Int[np.ndarray, "P 3"]
     weights: Float[np.ndarray, "P 3"]
     trust: Float[np.ndarray, " P"]
+    modes: Float[np.ndarray, "P M"]
 
 
 def face_spots(face: CanonicalFace) -> Spots:
@@ -63,7 +66,8 @@ def face_spots(face: CanonicalFace) -> Spots:
         corners.append(np.tile(triangle, (len(inside), 1)))
         weights.append(inside)
     found, shares = np.concatenate(corners), np.concatenate(weights)
-    return Spots(found, shares, (rigidity(face)[found] * shares).sum(axis=1))
+    modes = np.einsum("pcm,pc->pm", ShapePrior.around(face.vertices).modes[found], shares)
+    return Spots(found, shares, (rigidity(face)[found] * shares).sum(axis=1), modes)
 
 
 def _spread(count: int) -> Float[np.ndarray, "K 3"]:
@@ -78,12 +82,18 @@ def _spread(count: int) -> Float[np.ndarray, "K 3"]:
 class SkinEvidence:
     """How spots look in every frame, were the head posed like this.
 
+    What is seen there need not lie where landmarks put the skin: glasses and brows stand before it, and landmarks of
+    the face's edge slide. So spots have a depth of their own, learnt from how they move when the head turns.
+
     Attributes:
         pictures: Of the face.
         spots: Where to look.
         shapes: Landmarks in head space as the expressions of every frame put them, m.
         seen: Frames with a face.
         lens: Camera.
+        depths: How far in front of the landmarks' surface spots lie along the head's z axis, as coefficients of
+            `Spots.modes`; None before they are learnt.
+        reference: How spots look in the clip as a whole; None before it is learnt.
     """
 
     pictures: SkinPictures
@@ -91,61 +101,82 @@ class SkinEvidence:
     shapes: Float[np.ndarray, "T N 3"]
     seen: Bool[np.ndarray, " T"]
     lens: Lens
+    depths: Float[np.ndarray, " M"] | None = None
+    reference: Float[np.ndarray, " P"] | None = None
 
     def information(self, poses: Poses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
         """Of every frame's pose; frames without a face tell nothing."""
-        reference = self._reference(poses)
-        return in_chunks(partial(self._chunk_information, poses, reference), np.arange(len(self.seen)))
+        known = self if self.reference is not None else self.corrected(poses)
+        information, gradient = known._in_chunks(known._pose_information, poses, np.arange(len(self.seen)))
+        return information, gradient
 
-    def _reference(self, poses: Poses) -> Float[np.ndarray, " P"]:
-        """How the spots look in most of some frames."""
-        seen = np.flatnonzero(self.seen)
-        looks, visible = in_chunks(partial(self._looks, poses), seen[spread_evenly(len(seen), REFERENCE_FRAMES)])
-        weights = visible
-        for _ in range(REFERENCE_ROUNDS):
-            reference = (weights * looks).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-6)
-            weights = visible * _robust(looks - reference)
-        return reference
-
-    def _looks(self, poses: Poses, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        places, visible = self._places(poses[frames], frames)
-        looks, _, known = self.pictures.sampled(frames, project(places, self.lens))
-        return looks, visible * known
-
-    def _places(self, here: Poses, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The spots in the camera, m, and how far they face it, in [0, 1]."""
-        corners = self.shapes[frames][:, self.spots.corners]
-        normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-        places = here.to_camera(np.einsum("pc,tpcx->tpx", self.spots.weights, corners, optimize=True))
-        normals = normals @ here.rotations.transpose(0, 2, 1)
-        lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(places, axis=-1)
-        facing = -(normals * places).sum(axis=-1) / np.maximum(lengths, 1e-12)
-        return places, np.clip((facing - LEAST_FACING) / (FULLY_FACING - LEAST_FACING), 0.0, 1.0)
-
-    def _chunk_information(
-        self, poses: Poses, reference: np.ndarray, frames: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        here = poses[frames]
-        places, visible = self._places(here, frames)
-        looks, slopes, known = self.pictures.sampled(frames, project(places, self.lens))
+    def corrected(self, poses: Poses) -> SkinEvidence:
+        """With the looks and depths of the spots as they would be, were the poses these."""
+        seen, modes = np.flatnonzero(self.seen), self.spots.modes
+        chosen = seen[spread_evenly(len(seen), REFERENCE_FRAMES)]
+        looks, weights, by_depth = self._in_chunks(self._looks, poses, chosen)
+        reference = usual(looks, weights)
         missed = reference - looks
-        weights = visible * known * self.spots.trust * self.seen[frames, None] * _robust(missed)
-        weights = weights * (SKIN_COUNT / len(reference))
+        weights = weights * _robust(missed) * (len(seen) / len(chosen))
+        depths = np.zeros(modes.shape[1]) if self.depths is None else self.depths
+        normal = (modes.T * (weights * by_depth**2).sum(axis=0)) @ modes + np.eye(len(depths))
+        vector = modes.T @ (weights * by_depth * missed).sum(axis=0) - depths
+        return replace(self, depths=depths + np.linalg.solve(normal, vector), reference=reference)
+
+    def _looks(self, poses: Poses, frames: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Of the spots in some frames, their weights, and how looks change with depth, 1/m."""
+        here = poses[frames]
+        places, looks, slopes, weights = self._glance(here, frames)
+        by_depth = np.matmul(projection_slopes(places, self.lens.focal), here.rotations[:, None, :, 2:])[..., 0]
+        return looks, weights, (slopes * by_depth).sum(axis=-1)
+
+    def _pose_information(self, poses: Poses, frames: np.ndarray) -> tuple[np.ndarray, ...]:
+        here = poses[frames]
+        places, looks, slopes, weights = self._glance(here, frames)
+        missed = self.reference - looks
+        weights = weights * _robust(missed) * self.seen[frames, None]
         jacobian = np.matmul(slopes[:, :, None], pose_slopes(places, here, projection_slopes(places, self.lens.focal)))
         rows = jacobian[:, :, 0]
         weighted = rows * weights[..., None]
         return weighted.transpose(0, 2, 1) @ rows, np.einsum("tpa,tp->ta", weighted, missed)
 
+    def _glance(self, here: Poses, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The spots in the camera, m, their looks, how these change per px, and how much each spot counts."""
+        places, facing = self._places(here, frames)
+        looks, slopes, known = self.pictures.sampled(frames, project(places, self.lens))
+        visible = np.clip((facing - LEAST_FACING) / (FULLY_FACING - LEAST_FACING), 0.0, 1.0)
+        return places, looks, slopes, visible * known * self.spots.trust * (SKIN_COUNT / len(self.spots.trust))
+
+    def _places(self, here: Poses, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The spots in the camera, m, and the cosine between their normals and the view."""
+        corners = self.shapes[frames][:, self.spots.corners]
+        normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+        surface = np.einsum("pc,tpcx->tpx", self.spots.weights, corners, optimize=True)
+        if self.depths is not None:
+            surface[..., 2] += self.spots.modes @ self.depths
+        places = here.to_camera(surface)
+        normals = normals @ here.rotations.transpose(0, 2, 1)
+        lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(places, axis=-1)
+        return places, -(normals * places).sum(axis=-1) / np.maximum(lengths, 1e-12)
+
+    def _in_chunks(
+        self, function: Callable[[Poses, np.ndarray], tuple[np.ndarray, ...]], poses: Poses, frames: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        """What a function of a few frames says of many, by several threads."""
+        chunks = [frames[first : first + CHUNK] for first in range(0, len(frames), CHUNK)]
+        parts = in_order(partial(function, poses), chunks)
+        return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
+
+
+def usual(looks: Float[np.ndarray, "T P"], weights: Float[np.ndarray, "T P"]) -> Float[np.ndarray, " P"]:
+    """How spots look in most frames."""
+    trusted = weights
+    for _ in range(REFERENCE_ROUNDS):
+        reference = (trusted * looks).sum(axis=0) / np.maximum(trusted.sum(axis=0), 1e-9)
+        trusted = weights * _robust(looks - reference)
+    return reference
+
 
 def _robust(missed: Float[np.ndarray, "T P"]) -> Float[np.ndarray, "T P"]:
     """Inverse variances that shadows and wrinkles hardly have."""
     return robust_weights(missed[..., None], np.full(missed.shape, SKIN_ERROR**-2), 1.0)
-
-
-def in_chunks(
-    function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], frames: Int[np.ndarray, " K"]
-) -> tuple[np.ndarray, np.ndarray]:
-    """What a function of a few frames says of many, by several threads."""
-    parts = in_order(function, [frames[first : first + CHUNK] for first in range(0, len(frames), CHUNK)])
-    first, second = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return first, second

@@ -23,6 +23,7 @@ from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
 from preprocess.flame_tracking import track_flame
 from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.hidden_nods import NoddingLandmarks, hidden_share
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.outline_poses import OutlineEvidence, Scalp
 from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
@@ -93,14 +94,20 @@ def track_landmarks(
     settings = options.tracker
     found = find_camera(watched.clip, face, settings.focal, settings.smooth)
     by_landmarks = found.camera.poses
-    found = _posed(found, settle(_skin_and_landmarks(watched, face, found), by_landmarks, found.smoothness))
+    skin, nodding = _skin_and_landmarks(watched, face, found)
+    found = _posed(found, settle((skin, nodding), by_landmarks, found.smoothness))
     fit, sequence = _with_face(watched, face, generic, settings, found)
     outline, landmarks = _outline_and_landmarks(watched, fit, sequence.head, found)
-    poses = settle((outline, landmarks), found.camera.poses, found.smoothness)
+    poses = settle((outline, landmarks, skin), found.camera.poses, found.smoothness)
     _, sequence = _with_face(watched, face, generic, settings, _posed(found, poses))
     distances = (float(np.median(outline.distances(here))) for here in (by_landmarks, poses))
     told = dict(zip(("by_landmarks", "settled"), (round(value, 2) for value in distances), strict=True))
-    return dataclasses.replace(sequence, report={**sequence.report, "scalp_to_outline_px": told})
+    report = {
+        **sequence.report,
+        "scalp_to_outline_px": told,
+        "nods_hidden_by_landmarks": round(hidden_share(by_landmarks, poses), 3),
+    }
+    return dataclasses.replace(sequence, report=report)
 
 
 def _posed(found: FoundCamera, poses: Poses) -> FoundCamera:
@@ -110,12 +117,12 @@ def _posed(found: FoundCamera, poses: Poses) -> FoundCamera:
 
 def _skin_and_landmarks(
     watched: Watched, face: CanonicalFace, found: FoundCamera
-) -> tuple[SkinEvidence, LandmarkEvidence]:
+) -> tuple[SkinEvidence, NoddingLandmarks]:
     """What decides on poses before the face is learnt, which would explain by expressions what poses leave."""
     clip, lens = watched.clip, found.camera.lens
     seen = trusted_landmarks(clip.observations(rigidity(face) * anchoring(face), 1.0), found.width)
-    spots = face_spots(face)
-    return SkinEvidence(watched.skin, spots, found.shapes, clip.seen, lens), LandmarkEvidence(seen, found.shapes, lens)
+    skin = SkinEvidence(watched.skin, face_spots(face), found.shapes, clip.seen, lens)
+    return skin, NoddingLandmarks(LandmarkEvidence(seen, found.shapes, lens))
 
 
 def _with_face(

@@ -9,13 +9,16 @@ from ggavatar.face.blendshapes import NAMES
 from ggavatar.head.procedural import procedural_names
 from preprocess.expression_axes import AXES, axis_scores, generic_mixture
 from preprocess.expression_basis import (
+    PAIRS,
     Camera,
     Expectation,
     displacements,
     fit_motion,
+    paired_products,
     principal_axes,
     refine_axes,
     regress,
+    symmetric,
 )
 from preprocess.face_model import FaceModel, FaceMotion
 from preprocess.rigid import Lens, Observations, Poses, project
@@ -75,6 +78,15 @@ def test_coefficients_and_jaw_are_read_back() -> None:
     found = fit_motion(observed, camera, model, blind, iterations=6)
     np.testing.assert_allclose(found.coefficients, motion.coefficients, atol=0.02)
     np.testing.assert_allclose(found.jaw, motion.jaw, atol=0.01)
+
+
+def test_normal_equations_by_one_product_are_those_landmark_by_landmark() -> None:
+    generator = np.random.default_rng(3)
+    columns, roots = generator.normal(size=(7, 3, 5)), generator.normal(size=(4, 7, 2, 3))
+    information = roots.swapaxes(-1, -2) @ roots
+    expected = np.einsum("nai,tnab,nbj->tij", columns, information, columns)
+    packed = information[..., PAIRS[0], PAIRS[1]].reshape(4, -1)
+    np.testing.assert_allclose(symmetric(packed @ paired_products(columns), 5), expected, atol=1e-12)
 
 
 def test_axes_are_mended_and_given_ones_kept() -> None:
