@@ -18,21 +18,24 @@ SH_C0 = 0.28209479177387814
 def splatted_colors(
     pose: Callable[[Drive], Gaussians], frames: Sequence[Frame], rasterize: Rasterizer, least_weight: float = 0.1
 ) -> Float[Tensor, "N 3"]:
-    """The mean colour of the pixels a Gaussian is blended into, weighted by its share of them.
+    """The mean colour of the person's pixels a Gaussian is blended into, weighted by its share of them.
 
-    The weights are the rasteriser's own derivatives with respect to colour, so any backend will do.
+    The weights are the rasteriser's own derivatives with respect to colour, so any backend will do. Pixels count as far
+    as they are foreground: a Gaussian before the background that took its colour could hide there, and what should be
+    behind it with it (docs/log.md).
 
     Args:
         pose: Gaussians of a drive; their colours are not used.
         frames: What they are compared with.
         rasterize: The renderer.
-        least_weight: Gaussians with less weight in total (hidden ones) get the mean colour of the others.
+        least_weight: Gaussians with less weight in total (hidden ones, and those never before the person) get the mean
+            colour of the others.
 
     Returns:
         sRGB in [0, 1].
 
     References:
-        c = Σ w I / Σ w, as in RGBAvatar's start (Li et al. 2025).
+        c = Σ w α I / Σ w α; without the mask α, RGBAvatar's start (Li et al. 2025).
     """
     totals: Tensor | None = None
     for frame in frames:
@@ -42,8 +45,8 @@ def splatted_colors(
         drawn = rasterize(
             dataclasses.replace(posed, colors=colors, sh_degree=None), frame.camera, torch.zeros_like(colors[0])
         )
-        weighted = torch.autograd.grad(drawn.image, colors, frame.image, retain_graph=True)[0]
-        weight = torch.autograd.grad(drawn.image, colors, torch.ones_like(frame.image))[0]
+        weighted = torch.autograd.grad(drawn.image, colors, frame.image * frame.alpha, retain_graph=True)[0]
+        weight = torch.autograd.grad(drawn.image, colors, frame.alpha.expand_as(frame.image))[0]
         found = torch.cat((weighted, weight[:, :1]), dim=1)
         totals = found if totals is None else totals + found
     if totals is None:

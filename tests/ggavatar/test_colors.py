@@ -32,15 +32,25 @@ def weights(index: int) -> torch.Tensor:
 def test_colours_are_weighted_means_of_pixels(toy_head: HeadModel) -> None:
     generator = torch.Generator().manual_seed(0)
     drive: Drive = toy_head.neutral_drive()
-    frames = [Frame(drive, CAMERA, torch.rand(24, 24, 3, generator=generator), torch.ones(24, 24, 1)) for _ in range(2)]
+    frames = [Frame(drive, CAMERA, *(torch.rand(24, 24, k, generator=generator) for k in (3, 1))) for _ in range(2)]
     found = splatted_colors(lambda _: blobs(), frames, rasterize)
     for index in (0, 1):
-        weight = weights(index)
-        expected = sum((weight * frame.image).sum((0, 1)) for frame in frames) / (2 * weight.sum())
+        shares = [weights(index) * frame.alpha for frame in frames]
+        total = sum(float(share.sum()) for share in shares)
+        expected = sum((share * frame.image).sum((0, 1)) for share, frame in zip(shares, frames, strict=True)) / total
         assert torch.allclose(found[index], torch.as_tensor(expected), atol=1e-5)
     seen = torch.tensor([float(weights(index).sum()) > 0.05 for index in range(4)])
     assert seen.tolist()[3] is False
     assert torch.allclose(found[3], found[seen].mean(0), atol=1e-5)
+
+
+def test_background_lends_no_colour(toy_head: HeadModel) -> None:
+    """A Gaussian before a red person and a white wall is red; one before the wall alone is as the others."""
+    alpha = torch.zeros(24, 24, 1)
+    alpha[:, :9] = 1.0
+    image = alpha * torch.tensor([1.0, 0.0, 0.0]) + (1 - alpha)
+    found = splatted_colors(lambda _: blobs(), [Frame(toy_head.neutral_drive(), CAMERA, image, alpha)], rasterize)
+    assert torch.allclose(found, torch.tensor([1.0, 0.0, 0.0]).expand(4, 3), atol=1e-5)
 
 
 def test_no_frames_are_refused() -> None:
