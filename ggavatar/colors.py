@@ -21,8 +21,8 @@ def splatted_colors(
     """The mean colour of the person's pixels a Gaussian is blended into, weighted by its share of them.
 
     The weights are the rasteriser's own derivatives with respect to colour, so any backend will do. Pixels count as far
-    as they are foreground: a Gaussian before the background that took its colour could hide there, and what should be
-    behind it with it (docs/log.md).
+    as they are foreground: in the background's colour a Gaussian beside the person costs nothing, stays, and hides the
+    person in other poses (docs/log.md).
 
     Args:
         pose: Gaussians of a drive; their colours are not used.

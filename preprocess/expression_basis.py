@@ -94,7 +94,7 @@ class Expectation:
     jaw: Float[np.ndarray, "T 2"]
     jaw_spread: float = JAW_SPREAD
 
-    def frames(self, chosen: slice | np.ndarray) -> Expectation:
+    def frames(self, chosen: np.ndarray) -> Expectation:
         """Some of the frames."""
         return Expectation(self.coefficients[chosen], self.spreads, self.jaw[chosen], self.jaw_spread)
 
@@ -111,7 +111,9 @@ def fit_motion(
         local = Camera(camera.lens, camera.poses[chosen])
         state = mean[chosen]
         for _ in range(iterations):
-            information, pull = _landmark_information(observed[chosen], local, model, state)
+            motion = FaceMotion(state[:, :-JAW_DEGREES], state[:, -JAW_DEGREES:])
+            slopes, pull = _landmark_slopes(observed[chosen], local, model, motion)
+            information = (slopes[..., PAIRS[0]] * slopes[..., PAIRS[1]]).sum(axis=-2).reshape(len(state), -1)
             normal = symmetric(information @ products, columns.shape[-1]) + np.diag(prior)
             gradient = pull @ columns.reshape(-1, columns.shape[-1]) + prior * (mean[chosen] - state)
             state = state + np.linalg.solve(normal, gradient[..., None])[..., 0]
@@ -123,33 +125,20 @@ def fit_motion(
     return FaceMotion(found[:, :-JAW_DEGREES], found[:, -JAW_DEGREES:])
 
 
-def _landmark_information(
-    observed: Observations, camera: Camera, model: FaceModel, state: Float[np.ndarray, "T A"]
-) -> tuple[Float[np.ndarray, "T M"], Float[np.ndarray, "T K"]]:
-    """What every frame's landmarks tell of displacements before the jaw turns them.
-
-    Information (six numbers a landmark, as `PAIRS` has them) and gradient (three).
-    """
-    coefficients, jaw = state[:, :-JAW_DEGREES], state[:, -JAW_DEGREES:]
-    residuals, slopes = _weighted_slopes(observed, camera, model, FaceMotion(coefficients, jaw))
-    information = (slopes[..., PAIRS[0]] * slopes[..., PAIRS[1]]).sum(axis=-2)
-    gradient = (slopes * residuals[..., None]).sum(axis=-2)
-    return information.reshape(len(state), -1), gradient.reshape(len(state), -1)
-
-
-def _weighted_slopes(
+def _landmark_slopes(
     observed: Observations, camera: Camera, model: FaceModel, motion: FaceMotion
-) -> tuple[Float[np.ndarray, "T N 2"], Float[np.ndarray, "T N 2 3"]]:
-    """Residuals of landmarks, and how they change with displacements before the jaw turns them.
+) -> tuple[Float[np.ndarray, "T N 2 3"], Float[np.ndarray, "T K"]]:
+    """How image positions change with displacements before the jaw turns them, over their standard deviations.
 
-    Both over the standard deviation.
+    And the gradient of the fit by these displacements, three numbers a landmark.
     """
     seen = camera.poses.to_camera(model.shapes(motion.coefficients, motion.jaw))
     residuals = observed.points - project(seen, camera.lens)
     deviations = np.sqrt(robust_weights(residuals, observed.weights, 3.0))[..., None]
     turned = np.einsum("tab,tnbc->tnac", camera.poses.rotations, model.blends(motion.jaw), optimize=True)
-    slopes = np.einsum("tnxa,tnab->tnxb", projection_slopes(seen, camera.lens.focal), turned)
-    return residuals * deviations, slopes * deviations[..., None]
+    slopes = np.einsum("tnxa,tnab->tnxb", projection_slopes(seen, camera.lens.focal), turned) * deviations[..., None]
+    gradient = (slopes * (residuals * deviations)[..., None]).sum(axis=-2)
+    return slopes, gradient.reshape(len(gradient), -1)
 
 
 def paired_products(columns: Float[np.ndarray, "N 3 A"]) -> Float[np.ndarray, "M P"]:
@@ -188,9 +177,8 @@ def refine_axes(
     """
     design = np.column_stack((motion.coefficients * learned, np.ones(len(motion.jaw))))
     size, count = design.shape[1], len(model.neutral)
-    residuals, slopes = _weighted_slopes(observed, camera, model, motion)
+    slopes, gradient = _landmark_slopes(observed, camera, model, motion)
     information = np.matmul(slopes.swapaxes(-1, -2), slopes).reshape(len(design), -1)
-    gradient = (slopes * residuals[..., None]).sum(axis=-2).reshape(len(design), -1)
     outer = (design[:, :, None] * design[:, None]).reshape(len(design), -1)
     normal = (outer.T @ information).reshape(size, size, count, 3, 3).transpose(2, 0, 3, 1, 4)
     vector = (design.T @ gradient).reshape(size, count, 3).transpose(1, 0, 2)

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.face.bundle import CanonicalFace
 from ggavatar.face.drawn_face import drawn_face
-from preprocess.adjustment import ShapePrior
 from preprocess.face_topology import MESH_POINTS, anchoring, lids, rigidity
 from preprocess.hidden_nods import NoddingLandmarks, hidden_share, nods
 from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
@@ -48,7 +47,7 @@ def errors(poses: Poses, truth: Poses) -> np.ndarray:
 @pytest.fixture(scope="module")
 def nodding(face: CanonicalFace) -> tuple[Poses, Poses, SkinEvidence, LandmarkEvidence]:
     """True poses, those that sliding landmarks tell, and the evidence of both kinds."""
-    truth, told = posed(8 * NOD, SHAKE), posed(8 * (1 - HIDDEN) * NOD, SHAKE)
+    truth, told = posed(8 * NOD), posed(8 * (1 - HIDDEN) * NOD)
     landmarks = project(told.to_camera(face.vertices[None]), LENS)
     light = 1 - 0.2 * np.cos(np.arange(FRAMES))
     pictures = freckled(face.vertices, project(truth.to_camera(face.vertices[None]), LENS), SIZE, light)
@@ -182,17 +181,11 @@ def test_spots_learn_how_far_they_stand_before_the_skin(face: CanonicalFace) -> 
     assert np.abs(left).mean() < 0.5 * np.abs(wanted - wanted.mean()).mean()
 
 
-def test_modes_of_spots_are_those_of_the_face(face: CanonicalFace) -> None:
-    spots, modes = face_spots(face), ShapePrior.around(face.vertices).modes
-    np.testing.assert_allclose(spots.modes[7], spots.weights[7] @ modes[spots.corners[7]])
-
-
 def test_true_poses_stay(nodding: tuple) -> None:
     truth, _, skin, landmarks = nodding
     observed = Observations(project(truth.to_camera(landmarks.shapes), LENS), landmarks.observed.weights)
     right = LandmarkEvidence(observed, landmarks.shapes, LENS)
-    moved = errors(settle((skin, right), truth, 0.0), truth)
-    assert np.median(moved) < 0.5 and moved.max() < 1.0
+    assert errors(settle((skin, right), truth, 0.0), truth).max() < 0.6
 
 
 def test_one_displaced_frame_is_told_where_to_go(nodding: tuple) -> None:
@@ -200,8 +193,6 @@ def test_one_displaced_frame_is_told_where_to_go(nodding: tuple) -> None:
     truth, _, skin, _ = nodding
     shift = np.zeros((FRAMES, 6))
     shift[5, 3:5] = 3e-4, -2e-4
-    for _ in range(3):
-        skin = skin.corrected(truth)
     information, gradient = skin.information(truth.moved(shift))
     steps = np.linalg.solve(information[:, 3:5, 3:5], gradient[:, 3:5, None])[..., 0]
     others = np.delete(steps, 5, axis=0)
