@@ -57,8 +57,6 @@ class Config:
     """Where the head pose acts: on the camera (the paper), or on the neck too, so that the torso is still (A12)."""
     condition: Literal["face", "face_and_pose"] = "face"
     """What F_ψθ sees: facial parameters (the paper), or the head pose within its training range too (A12)."""
-    condition_noise: float = 0.0
-    """Noise on what F_ψθ sees in training, in units of each number's deviation over the frames; 0 is the paper."""
     field: Literal["triplane", "fourier"] = "triplane"
     """Features of neutral positions; `fourier` is Table 2, w/o tri-plane."""
 
@@ -200,8 +198,6 @@ class GGAvatar(nn.Module):
         self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._kept_hidden: Tensor | None = None
-        self._spread: Tensor | None = None
-        self._spread = self._condition_spread()
 
     @property
     def is_neutral(self) -> bool:
@@ -274,17 +270,7 @@ class GGAvatar(nn.Module):
     def _condition(self, drive: Drive) -> Float[Tensor, " C"]:
         """ψ and θ of Eq. 10."""
         face = self.head.condition(drive)
-        condition = face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
-        if self._spread is None or not self.training:
-            return condition
-        noise = torch.randn(len(condition), generator=seeded(self.scene.seed, 6, int(self.steps_done)))
-        return condition + self.config.condition_noise * self._spread * noise.to(condition.device)
-
-    def _condition_spread(self) -> Float[Tensor, " C"] | None:
-        """Deviation of every number of the condition over the training frames, if noise is wanted."""
-        if not self.config.condition_noise or len(self.scene.drives) < 2:
-            return None
-        return torch.stack([self._condition(drive) for drive in self.scene.drives]).std(dim=0)
+        return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
 
     def _placed(self, frames: TriangleFrames) -> Placed:
         """The Gaussians on these triangles (Eq. 6–8)."""

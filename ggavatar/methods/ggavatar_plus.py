@@ -35,8 +35,6 @@ class Config:
     """Whether the torso stays still while the head turns."""
     pose_condition: bool = True
     """Whether the latent network sees the head pose."""
-    condition_noise: float = 0.0
-    """Noise on what the latent network sees in training, in units of each number's deviation over the frames."""
     color_unit: float = 0.1
     """Colour, as sRGB, per unit of a colour row; 0 leaves colours alone."""
     latent: int = 32
