@@ -67,14 +67,13 @@ def regress(
 def principal_axes(residuals: Float[np.ndarray, "T N 3"], count: int) -> tuple[Float[np.ndarray, "N 3 K"], float]:
     """The strongest directions of what is left, scaled to unit variance of their coefficients.
 
-    And the share of energy they keep.
+    And the share of energy they keep. Beyond the number of frames, axes are zero.
     """
-    flat = residuals.reshape(len(residuals), -1)
-    values, vectors = np.linalg.eigh(flat.T @ flat / len(flat))
-    count = min(count, len(values))
-    kept = np.maximum(values[::-1][:count], 0)
-    axes = vectors[:, ::-1][:, :count] * np.sqrt(kept)
-    share = float(kept.sum() / max(values.sum(), 1e-30))
+    flat = residuals.reshape(len(residuals), -1) / np.sqrt(len(residuals))
+    values, coefficients = np.linalg.eigh(flat @ flat.T)  # frames are fewer than coordinates
+    axes = np.zeros((flat.shape[1], count))
+    axes[:, : len(values)] = flat.T @ coefficients[:, ::-1][:, :count]
+    share = float((axes**2).sum() / max(values.sum(), 1e-30))
     return axes.reshape(*residuals.shape[1:], count), share
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from ggavatar.face.blendshapes import NAMES
@@ -53,13 +54,17 @@ def test_regression_without_ridge_is_least_squares() -> None:
     np.testing.assert_allclose(intercept.ravel(), expected[4], atol=1e-6)
 
 
-def test_principal_axes_are_the_singular_vectors() -> None:
-    residuals = np.random.default_rng(1).normal(size=(60, 5, 3)) * np.linspace(3, 0.1, 5)[:, None]
+@pytest.mark.parametrize("frames", [60, 3])
+def test_principal_axes_are_the_singular_vectors(frames: int) -> None:
+    """As long as their coefficients deviate; without frames enough, what is left of the axes is zero."""
+    residuals = np.random.default_rng(1).normal(size=(frames, 5, 3)) * np.linspace(3, 0.1, 5)[:, None]
     axes, share = principal_axes(residuals, 4)
-    _, values, vectors = np.linalg.svd(residuals.reshape(60, -1), full_matrices=False)
-    for column in range(4):
-        cosine = axes[..., column].ravel() @ vectors[column] / np.linalg.norm(axes[..., column])
-        assert abs(cosine) > 1 - 1e-9
+    _, values, vectors = np.linalg.svd(residuals.reshape(frames, -1), full_matrices=False)
+    for column in range(min(4, frames)):
+        length = values[column] / np.sqrt(frames)
+        np.testing.assert_allclose(abs(axes[..., column].ravel() @ vectors[column]), length, rtol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(axes[..., column]), length, rtol=1e-9)
+    assert not axes[..., frames:].any()
     np.testing.assert_allclose(share, (values[:4] ** 2).sum() / (values**2).sum(), rtol=1e-9)
 
 
