@@ -157,7 +157,9 @@ def find_camera(clip: Clip, face: CanonicalFace, focal: float | None, smooth: bo
     return FoundCamera(camera, neutral, shapes, adjusted.focal_spread, width, smoothness)
 
 
-def learn_face(clip: Clip, face: CanonicalFace, generic: GenericHead, own: int, found: FoundCamera) -> ClipFit:
+def learn_face(
+    clip: Clip, face: CanonicalFace, generic: GenericHead, own: int, found: FoundCamera, polished: bool = True
+) -> ClipFit:
     """Fit everything that landmarks tell about the face, given the head's poses.
 
     Args:
@@ -166,11 +168,13 @@ def learn_face(clip: Clip, face: CanonicalFace, generic: GenericHead, own: int, 
         generic: Generic head.
         own: How many axes of its own the subject gets.
         found: Camera and poses.
+        polished: Learn axes and coefficients once more, each given the other.
     """
     exact = clip.observations(np.maximum(rigidity(face), 0.3), OWN_ERROR * found.width)
     shape = fit_shape(generic, found.neutral)
     fit = _learn(clip, exact, found.camera, generic, found.neutral, shape, own)
-    fit = _polish(fit, clip, exact)
+    if polished:
+        fit = _polish(fit, clip, exact)
     shape = fit_shape(generic, fit.model.neutral)
     shape.joints[JOINT_NAMES.index("jaw")] = fit.model.jaw_pivot
     return dataclasses.replace(fit, shape=shape, focal_spread=found.focal_spread)

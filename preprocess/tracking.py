@@ -96,7 +96,7 @@ def track_landmarks(
     by_landmarks = found.camera.poses
     skin, nodding = _skin_and_landmarks(watched, face, found)
     found = _posed(found, settle((skin, nodding), by_landmarks, found.smoothness))
-    fit, sequence = _with_face(watched, face, generic, settings, found)
+    fit, sequence = _with_face(watched, face, generic, settings, found, polished=False)
     outline, landmarks = _outline_and_landmarks(watched, fit, sequence.head, found)
     poses = settle((outline, landmarks, skin), found.camera.poses, found.smoothness)
     _, sequence = _with_face(watched, face, generic, settings, _posed(found, poses))
@@ -126,10 +126,15 @@ def _skin_and_landmarks(
 
 
 def _with_face(
-    watched: Watched, face: CanonicalFace, generic: GenericHead, settings: TrackingOptions, found: FoundCamera
+    watched: Watched,
+    face: CanonicalFace,
+    generic: GenericHead,
+    settings: TrackingOptions,
+    found: FoundCamera,
+    polished: bool = True,
 ) -> tuple[ClipFit, TrackedSequence]:
-    """Expressions, gaze and torso for given poses, and the head that they move."""
-    fit = learn_face(watched.clip, face, generic, max(0, settings.expressions - len(AXES)), found)
+    """Expressions, gaze and torso for given poses, and the head that they move; its outline needs no polish."""
+    fit = learn_face(watched.clip, face, generic, max(0, settings.expressions - len(AXES)), found, polished)
     fit = _with_gaze_centered(watched, fit, generic)
     axes = fit.model.axes
     parts = (axes[:, :, : len(AXES)], axes[:, :, len(AXES) : -2], axes[:, :, -2:])

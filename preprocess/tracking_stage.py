@@ -222,4 +222,4 @@ def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 
 
-STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=8)
+STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=9)
