@@ -34,7 +34,8 @@ def fitted_to(driver: Motion, target: Motion, force: bool = False) -> Motion:
     if not same and basis_family(driver.head_version) != basis_family(target.head_version):
         raise InputError(
             f"expected a performance of the head {target.head_version!r}, found {driver.head_version!r}, whose numbers "
-            "mean different things; track the driving video with the avatar's head model"
+            "mean different things; prepare both videos in the same way (both without --tracking, or both with one "
+            "tracker and one --head-model) and train on one of them"
         )
     if not same and not force:
         raise InputError(

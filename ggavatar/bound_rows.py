@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from ggavatar.density import statistics
+from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.rows import Column, Rows
 
@@ -36,6 +37,8 @@ def bound_rows(head: HeadModel, rates: BoundRates, sh_degree: int, generator: to
         sh_degree: Highest degree of the spherical harmonics; above 0 there is a column `sh_rest`.
         generator: Of the grey's last digits, on the CPU.
     """
+    if not 0 <= sh_degree <= 3:
+        raise InputError(f"sh_degree: expected 0 to 3, found {sh_degree}")
     count, device = len(head.faces), head.faces.device
     learnable = {
         "means": Column(torch.zeros(count, 3), rates.means),

@@ -90,9 +90,8 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
     if step is None:
         newest = complete_steps(folder)
         if not newest:
-            raise InputError(
-                f"{folder}: no complete checkpoint; train with ggavatar-train, or pass --overwrite to begin again"
-            )
+            damaged = ", only damaged ones" if any(folder.glob("step-*")) else ""
+            raise InputError(f"{folder}: no complete checkpoint{damaged}; begin again with ggavatar-train --overwrite")
         step = newest[0]
     record = _record(folder, step, digest=True)
     if record is None:

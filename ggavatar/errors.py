@@ -29,8 +29,8 @@ def run_command(main: Callable[[], int | None]) -> int:
         return _report("error", error, EXIT_USAGE)
     except GateError as error:
         return _report("gate failed", error, EXIT_GATE)
-    except KeyboardInterrupt:
-        return _report("interrupted", "nothing more was written", EXIT_INTERRUPTED)
+    except KeyboardInterrupt as error:
+        return _report("interrupted", str(error) or "nothing more was written", EXIT_INTERRUPTED)
     except MemoryError as error:
         return _report("out of memory", f"{error}; use fewer frames, a smaller --size or fewer Gaussians", EXIT_FAILURE)
     except BrokenPipeError:

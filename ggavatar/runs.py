@@ -173,11 +173,12 @@ def create_folder(folder: Path, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for the run, found a file; choose another with -o")
     if folder.exists() and any(folder.iterdir()):
+        if not (folder / "config.json").exists():
+            raise InputError(f"{folder}: holds other files and no run; choose another folder with -o")
         if not overwrite:
             raise InputError(
                 f"{folder}: exists already; pass --resume to go on, --overwrite to begin again, or another -o"
             )
-        read_config(folder)
         _remove_own_files(folder)
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     (folder / "metrics").mkdir(exist_ok=True)
@@ -208,7 +209,9 @@ def read_config(folder: Path) -> RunConfig:
     """Read config.json; `InputError` if the folder is no run or of a version not known here."""
     path = folder / "config.json"
     if not path.exists():
-        raise InputError(f"{folder}: expected a run folder written by ggavatar-train, found no config.json in it")
+        found = "no config.json in it" if folder.is_dir() else "nothing there"
+        capture = "; it is a capture: train on it first" if (folder / "capture.json").exists() else ""
+        raise InputError(f"{folder}: expected a run folder written by ggavatar-train, found {found}{capture}")
     values = _read(path)
     if values.get("schema") != SCHEMA or values.get("version") != VERSION:
         raise InputError(
@@ -227,7 +230,10 @@ def find_capture(folder: Path, config: RunConfig) -> Path:
     for path in (Path(config.capture), moved):
         if (path / "capture.json").exists():
             return path
-    raise InputError(f"{folder}: its capture {config.capture} is not there any more, nor {moved}; move it back")
+    raise InputError(
+        f"{folder}: its capture {config.capture} is not there any more, nor {moved}; move it back, or name it with "
+        "ggavatar-eval --capture"
+    )
 
 
 def choose_split(capture: Capture, rule: str) -> tuple[str, Split]:

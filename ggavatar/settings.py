@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
+import math
 import types
 import typing
 from collections.abc import Collection, Iterable, Mapping
@@ -51,7 +52,7 @@ def override(config: T, assignments: Iterable[str], where: str) -> T:
         name, equals, text = assignment.partition("=")
         if not equals:
             raise InputError(f"{where}: expected name=value, found {assignment!r}")
-        changes[name.strip()] = _parsed(text)
+        changes[name.strip()] = _sensible(_parsed(text), f"{where}: {assignment}")
     return from_plain(type(config), {**to_plain(config), **changes}, where)
 
 
@@ -66,6 +67,13 @@ def _parsed(text: str) -> Any:
         return json.loads(text)
     except ValueError:
         return {"True": True, "False": False, "None": None}.get(text, text)
+
+
+def _sensible(value: Any, where: str) -> Any:
+    """The value, unless it is a number that no setting can be: negative or not finite."""
+    if type(value) in (int, float) and not 0 <= value < math.inf:
+        raise InputError(f"{where}: expected a finite number of at least 0")
+    return value
 
 
 def _coerced(value: Any, hint: Any, where: str) -> Any:

@@ -81,7 +81,7 @@ class FiniteGuard:
             raise TrainingError(
                 f"step {step}: {culprit} is not finite, {self.count} times in all. Usual causes: tracking that puts "
                 "the head behind or far from the camera (run ggavatar-doctor on the capture), a learning rate set too "
-                "high, an empty mask. The last checkpoint is good."
+                "high, an empty mask. What was saved before is good."
             )
         return False
 

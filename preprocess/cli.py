@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _dashed_paths(sys.argv[1:] if arguments is None else arguments)
     answer_version("ggavatar-prep", given)
     options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
-    return run_command(lambda: _prepare(options))
+    return run_command(lambda: _prepared(options))
 
 
 def _dashed_paths(arguments: Sequence[str]) -> list[str]:
@@ -47,6 +47,14 @@ def _description() -> str:
         f"Formats of --tracking: {', '.join(importer_names())}.\n"
         "Example: ggavatar-prep video.mp4 -o alice"
     )
+
+
+def _prepared(options: PrepOptions) -> int:
+    """Prepare; whoever interrupts is told how to go on."""
+    try:
+        return _prepare(options)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("what is finished is kept; the same command with --resume goes on") from None
 
 
 def _prepare(options: PrepOptions) -> int:

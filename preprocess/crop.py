@@ -98,12 +98,18 @@ def square_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size
     return square((float(center[0]), float(center[1] + 0.12 * head)), side, width, height, size)
 
 
-def explicit(text: str, width: int, height: int, size: int) -> Crop:
-    """The crop of `--crop X,Y,WIDTH,HEIGHT`; it may reach beyond the frame."""
+def rectangle(text: str) -> tuple[int, int, int, int]:
+    """What `--crop X,Y,WIDTH,HEIGHT` says, px."""
     try:
-        x, y, crop_width, crop_height = (int(part) for part in text.split(","))
+        x, y, width, height = (int(part) for part in text.split(","))
     except ValueError as error:
         raise InputError(f"--crop: expected auto, none or X,Y,WIDTH,HEIGHT in whole px, found {text!r}") from error
+    return x, y, width, height
+
+
+def explicit(text: str, width: int, height: int, size: int) -> Crop:
+    """The crop of `--crop X,Y,WIDTH,HEIGHT`; it may reach beyond the frame."""
+    x, y, crop_width, crop_height = rectangle(text)
     outside = x >= width or y >= height or x + crop_width <= 0 or y + crop_height <= 0
     if crop_width < 16 or crop_height < 16 or outside or max(crop_width, crop_height) > 4 * max(width, height):
         raise InputError(

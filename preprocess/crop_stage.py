@@ -10,7 +10,7 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.pictures import write_png
-from preprocess.crop import Crop, explicit, square, square_around, whole_frame
+from preprocess.crop import Crop, explicit, rectangle, square, square_around, whole_frame
 from preprocess.frames import DecodedFrame, open_source
 from preprocess.importing import SWAPPED_SIZE, read_foreign
 from preprocess.in_order import in_order
@@ -27,6 +27,8 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
     """Size, crop and the tracking that the crop must respect."""
     if not 64 <= options.size <= 4096:
         raise InputError(f"--size: expected 64 to 4096 px, found {options.size}")
+    if options.crop not in ("auto", "none"):
+        rectangle(options.crop)
     return {
         "size": options.size,
         "crop": options.crop,

@@ -16,6 +16,7 @@ from ggavatar.head.model import HeadModel
 from preprocess import quality
 from preprocess.evidence import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
 from preprocess.hypotheses import AXES, EYES, OTHERS
+from preprocess.letterbox import black_bars, cut_off
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
 from preprocess.posing import one_torch_thread
@@ -207,13 +208,8 @@ def _pictures(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> li
     measures |= quality.picture_quality(capture, head)
     findings, count = [], len(capture.frames)
     if len(measures["blurred"]) > 0.05 * count:
-        findings.append(
-            Finding(
-                "blur",
-                "warning",
-                f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a faster shutter",
-            )
-        )
+        message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a faster shutter"
+        findings.append(Finding("blur", "warning", message))
     if len(measures["repeated"]) > 0.05 * count:
         message = (
             f"{len(measures['repeated'])} of {count} frames repeat the one before; "
@@ -221,20 +217,25 @@ def _pictures(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> li
         )
         rate = capture.fps * (1 - len(measures["repeated"]) / count)
         findings.append(Finding("repeated", "warning", message, f"--fps {rate:.0f}"))
-    return findings
+    return findings + _bars(capture, measures)
+
+
+def _bars(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
+    bars = black_bars(capture)
+    measures["black_bars"] = list(bars)
+    seen = [f"{thickness} px {side}" for side, thickness in zip(bars._fields, bars, strict=True) if thickness]
+    if not seen:
+        return []
+    message = f"black bars around the video count as person ({', '.join(seen)}); cut them off"
+    return [Finding("bars", "warning", message, cut_off(capture, bars))]
 
 
 def _coverage(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     measures["coverage"] = quality.coverage(capture.tracking)
     findings = []
     if len(capture.frames) < 200:
-        findings.append(
-            Finding(
-                "short",
-                "warning",
-                f"{len(capture.frames)} frames are few; some hundred, better 2000, make a good avatar",
-            )
-        )
+        message = f"{len(capture.frames)} frames are few; some hundred, better 2000, make a good avatar"
+        findings.append(Finding("short", "warning", message))
     if measures["coverage"]["yaw_range"] < 8:
         message = (
             f"the head turns by {measures['coverage']['yaw_range']:.0f}° only; "
@@ -252,13 +253,8 @@ def _landmarks(error: float, capture: Capture) -> list[Finding]:
     limit = 3 * max(capture.width, capture.height) / 512
     if error <= limit:
         return []
-    return [
-        Finding(
-            "landmarks",
-            "fault",
-            f"landmarks of the mesh are {error:.1f} px from those in the image (up to {limit:.1f} expected)",
-        )
-    ]
+    message = f"landmarks of the mesh are {error:.1f} px from those in the image (up to {limit:.1f} expected)"
+    return [Finding("landmarks", "fault", message)]
 
 
 def write_report(capture: Capture, diagnosis: Diagnosis) -> None:

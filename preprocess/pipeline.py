@@ -97,7 +97,7 @@ def prepare_folder(options: PrepOptions) -> None:
             raise InputError(f"{folder}: exists and is not a folder; choose another one with -o")
         if any(folder.iterdir()) and not ours:
             raise InputError(f"{folder}: exists and was not made by ggavatar-prep; choose another folder with -o")
-        if ours and not (options.resume or options.overwrite):
+        if ours and not (options.resume or options.overwrite) and any(e.name != RECORDS for e in folder.iterdir()):
             raise InputError(
                 f"{folder}: exists; use --resume to continue or reuse it, --overwrite to start anew, or choose "
                 "another -o"

@@ -29,6 +29,8 @@ from preprocess.torso import followed_torso
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
     """The tracking and the head model, or the built-in tracker's options."""
+    if options.tracking is not None:
+        _head_path(options)
     return {
         "tracking": file_state(options.tracking),
         "format": options.format,
@@ -156,11 +158,7 @@ def _head(options: PrepOptions, record: ForeignTracking) -> tuple[Any, list[str]
     from ggavatar.head.files import load_head
     from ggavatar.head.flame import is_flame, load_flame
 
-    path = options.head_model
-    if path is None:
-        raise InputError("--tracking needs --head-model: FLAME's generic_model.pkl or flame2023.pkl, or a head.npz")
-    if not path.is_file():
-        raise InputError(f"{path}: no such head model file")
+    path = _head_path(options)
     if not is_flame(path):
         return load_head(path), []
     head = with_static_offset(load_flame(path, record.shape, expressions=max(1, record.expression.shape[1])), record)
@@ -171,6 +169,16 @@ def _head(options: PrepOptions, record: ForeignTracking) -> tuple[Any, list[str]
             f"Give the {record.version} file with --head-model"
         )
     return head, []
+
+
+def _head_path(options: PrepOptions) -> Path:
+    """The head model of an imported tracking, which must be there before anything is begun."""
+    path = options.head_model
+    if path is None:
+        raise InputError("--tracking needs --head-model: FLAME's generic_model.pkl or flame2023.pkl, or a head.npz")
+    if not path.is_file():
+        raise InputError(f"{path}: no such head model file")
+    return path
 
 
 def with_static_offset(head: HeadModel, record: ForeignTracking) -> HeadModel:

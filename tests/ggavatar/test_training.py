@@ -215,11 +215,11 @@ def test_bad_step_changes_nothing(toy_capture: Capture, tmp_path: Path, monkeypa
 
 def test_existing_output_is_refused(straight: Path, toy_capture: Capture, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    for folder in (straight, tmp_path):
-        with pytest.raises(InputError, match="exists already"):
-            train_run(toy_capture.folder, folder, OPTIONS, quiet=True)
-    with pytest.raises(InputError, match="expected a run folder"):
-        train_run(toy_capture.folder, tmp_path, {**OPTIONS, "overwrite": True}, quiet=True)
+    with pytest.raises(InputError, match="exists already"):
+        train_run(toy_capture.folder, straight, OPTIONS, quiet=True)
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="no run; choose another"):
+            train_run(toy_capture.folder, tmp_path, {**OPTIONS, "overwrite": overwrite}, quiet=True)
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ import pytest
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.pictures import picture_header
+from ggavatar.pictures import picture_header, write_png
 from preprocess.cli import main as prep
 from preprocess.doctor import examine
 from preprocess.doctor_cli import main as doctor
 from preprocess.evidence import rather_late
 from preprocess.hypotheses import AXES, FIXES, apply_fixes
+from preprocess.letterbox import black_bars, cut_off
 from preprocess.subject.demo import Settings, write_demo
 
 SIZE, FRAMES = 128, 56
@@ -143,6 +145,24 @@ def test_another_videos_tracking_is_noticed(capture, head):
     poses = capture.tracking.world_to_camera.copy()
     poses[:, 0, 3] += 0.14
     assert "overlap" in {finding.code for finding in faults(capture, head, world_to_camera=poses)}
+
+
+@pytest.mark.parametrize("side", ["left", "top", "right", "bottom"])
+def test_black_bars_that_count_as_person_are_named(folder, tmp_path, side):
+    shutil.copytree(folder, tmp_path / "c")
+    capture = Capture.open(tmp_path / "c")
+    thick, where = 9, {"left": np.s_[:, :9], "top": np.s_[:9], "right": np.s_[:, -9:], "bottom": np.s_[-9:]}[side]
+    assert not any(black_bars(capture))
+    for number in capture.frames:
+        image, mask = capture.image(number).copy(), capture.mask(number).copy()
+        image[where], mask[where] = 3, 255
+        write_png(capture.picture_path("images", number), image)
+        write_png(capture.picture_path("masks", number), mask)
+    bars = black_bars(capture)
+    assert bars._asdict() == {name: thick * (name == side) for name in bars._fields}
+    expected = {"left": (9, 0, -9, 0), "top": (0, 9, 0, -9), "right": (0, 0, -9, 0), "bottom": (0, 0, 0, -9)}[side]
+    x, y, width, height = map(int, cut_off(capture, bars).removeprefix("--crop ").split(","))
+    assert (x, y, width - SIZE, height - SIZE) == expected
 
 
 def test_jitter_is_noticed(capture, head):

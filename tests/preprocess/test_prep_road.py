@@ -127,16 +127,22 @@ def test_nothing_is_written_for_bad_input(clip, tmp_path, capsys):
         ("no such file", {"video": tmp_path / "absent.mp4"}),
         ("no such file", {"masks": tmp_path / "absent"}),
         ("no such file", {"tracking": tmp_path / "absent"}),
-        ("no such file", {"head_model": tmp_path / "absent.npz"}),
+        ("no such head model file", {"head_model": tmp_path / "absent.npz"}),
         ("--size", {"size": 7}),
-        ("--frames", {"frames": "a:b"}),
+        ("--crop", {"crop": "1,2,3"}),
+        ("needs --head-model", {"head_model": None}),
     ):
-        folder = tmp_path / "out"
-        assert run(clip, folder, **replaced) == 2
+        assert run(clip, tmp_path / "out", **replaced) == 2
         assert message in said(capsys)
-        assert not (folder / "capture.json").exists()
-        if folder.exists():
-            shutil.rmtree(folder)
+        assert not (tmp_path / "out").exists()
+
+
+def test_what_fails_at_the_video_leaves_room_for_another_try(clip, tmp_path, capsys):
+    """A folder that holds records and nothing else is as good as none."""
+    folder = tmp_path / "out"
+    assert run(clip, folder, frames="a:b") == 2 and "--frames" in said(capsys)
+    assert [entry.name for entry in folder.iterdir()] == [".prep"]
+    assert run(clip, folder) == 0 and Capture.open(folder).frames == tuple(range(24))
 
 
 def test_bad_videos(clip, tmp_path, capsys):
