@@ -179,6 +179,7 @@ def create_folder(folder: Path, overwrite: bool) -> None:
             raise InputError(
                 f"{folder}: exists already; pass --resume to go on, --overwrite to begin again, or another -o"
             )
+        read_config(folder)  # another program's config.json is not ours to remove
         _remove_own_files(folder)
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     (folder / "metrics").mkdir(exist_ok=True)

@@ -71,10 +71,9 @@ def _write(options: Options) -> None:
     for _ in _shown(write_demo(folder, Settings(**values)), options.frames):
         pass
     sys.stdout.write(
-        f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'}"
-        f" --masks {folder / 'masks'}"
+        f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
+        f"--masks {folder / 'masks'} --head-model {folder / 'head.npz'} --size {options.size} -o capture\n"
     )
-    sys.stdout.write(f" --head-model {folder / 'head.npz'} -o capture\n")
 
 
 def _shown(work: Iterator[int], total: int) -> Iterator[int]:

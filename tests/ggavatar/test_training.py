@@ -231,6 +231,13 @@ def test_overwrite_replaces_the_run_and_nothing_else(toy_capture: Capture, tmp_p
     assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
 
 
+def test_overwrite_spares_another_programs_configuration(toy_capture: Capture, tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text('{"model": "mine"}')
+    with pytest.raises(InputError, match="expected schema"):
+        train_run(toy_capture.folder, tmp_path, {**OPTIONS, "overwrite": True}, quiet=True)
+    assert (tmp_path / "config.json").read_text() == '{"model": "mine"}'
+
+
 def test_resume_refuses_other_settings(straight: Path, toy_capture: Capture) -> None:
     for wish in ({"seed": 7}, {"steps": 99}, {"method": "ggavatar_without_lbs"}, {"set": ["latent=3"]}):
         with pytest.raises(InputError, match="--resume goes on with"):
