@@ -22,6 +22,7 @@ from ggavatar.capture_checks import (
     check_tracking,
     read_description,
     read_tracking,
+    with_remedy,
     write_description,
 )
 from ggavatar.errors import InputError
@@ -105,7 +106,11 @@ class Capture:
             InputError: Something is missing, damaged, of another version or does not fit together; the message names
                 the file.
         """
-        folder = Path(folder)
+        with with_remedy(Path(folder)):
+            return Capture._opened(Path(folder))
+
+    @staticmethod
+    def _opened(folder: Path) -> Capture:
         described = read_description(folder / DESCRIPTION)
         tracking = Tracking(**read_tracking(folder / TRACKING))
         check_tracking(folder / TRACKING, tracking.arrays(), len(described["frames"]))
@@ -145,12 +150,14 @@ class Capture:
     def image(self, number: int) -> UInt8[np.ndarray, "H W 3"]:
         """The image of a source frame, 8-bit sRGB, read from disk now."""
         self.row(number)
-        return read_rgb(self.picture_path(IMAGES, number))
+        with with_remedy(self.folder):
+            return read_rgb(self.picture_path(IMAGES, number))
 
     def mask(self, number: int) -> UInt8[np.ndarray, "H W"]:
         """The soft foreground mask of a source frame, 255 = person, read from disk now."""
         self.row(number)
-        return read_grey(self.picture_path(MASKS, number))
+        with with_remedy(self.folder):
+            return read_grey(self.picture_path(MASKS, number))
 
     def row(self, number: int) -> int:
         """The row of the tracking that belongs to a source frame number."""

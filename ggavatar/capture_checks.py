@@ -8,7 +8,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from ggavatar.pictures import picture_header
 SCHEMA, VERSION = "ggavatar-capture", 1
 MAX_JSON_BYTES = 1 << 26
 REMAKE = "make the capture again with ggavatar-prep"
+RECORDS = ".prep"
+"""Subfolder that holds the records of ggavatar-prep's stages; it also marks a capture as made by it."""
 
 _TRACKING_SHAPES: dict[str, tuple[int | str, ...]] = {
     "intrinsics": ("T", 3, 3),
@@ -70,10 +73,21 @@ def read_json(path: Path) -> dict[str, Any]:
     return data
 
 
+@contextmanager
+def with_remedy(folder: Path) -> Iterator[None]:
+    """Whatever is found wrong with a capture that ggavatar-prep made: the message ends with how to mend it."""
+    try:
+        yield
+    except InputError as error:
+        if not (folder / RECORDS).is_dir() or not (folder / "capture.json").exists():
+            raise
+        raise InputError(f"{error}; the same ggavatar-prep command with --overwrite makes the capture anew") from error
+
+
 def read_description(path: Path) -> dict[str, Any]:
     """Read capture.json and check every field it must have."""
     if not path.exists():
-        if (path.parent / ".prep").is_dir():
+        if (path.parent / RECORDS).is_dir():
             raise InputError(
                 f"{path}: missing, so the capture is not finished; run the same ggavatar-prep command with --resume"
             )

@@ -10,12 +10,9 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from ggavatar.arrays import write_text
-from ggavatar.capture_checks import read_json
+from ggavatar.capture_checks import RECORDS, read_json
 from ggavatar.errors import InputError
 from preprocess.options import PrepOptions
-
-RECORDS = ".prep"
-"""Subfolder of a capture that holds the records of the stages; it also marks the folder as made by ggavatar-prep."""
 
 
 @runtime_checkable

@@ -226,6 +226,19 @@ def test_missing_file(folder, name):
         Capture.open(folder)
 
 
+@pytest.mark.parametrize("made", [True, False])
+@pytest.mark.parametrize("damaged", ["tracking.npz", "images/000007.png", "masks/000007.png"])
+def test_damage_in_a_capture_of_our_making_says_how_to_mend_it(folder, damaged, made):
+    whole = (folder / damaged).read_bytes()
+    (folder / damaged).write_bytes(whole[: len(whole) - 20])
+    if made:
+        (folder / ".prep").mkdir()
+    with pytest.raises(InputError, match=damaged) as caught:
+        capture = Capture.open(folder)
+        capture.image(7), capture.mask(7)
+    assert ("--overwrite" in str(caught.value)) == made
+
+
 def test_unfinished_capture_says_resume(folder):
     (folder / ".prep").mkdir()
     (folder / "capture.json").unlink()
