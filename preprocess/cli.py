@@ -61,11 +61,13 @@ def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and say what was written."""
     # The fit's matrices are small, and our own threads keep the cores busy: OpenBLAS's would only be in the way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from ggavatar.capture import Capture
     from preprocess.pipeline import run_pipeline
     from preprocess.terminal import Terminal
 
     terminal = Terminal(options.quiet or options.json)
     results = run_pipeline(options, terminal.stage)
+    Capture.open(options.output_dir)  # what stages skipped may have lost pictures since they were written
     terminal.summary(options, results)
     if options.json:
         shown = {"capture": str(options.output_dir), **results["pack"], "doctor": results["doctor"]}

@@ -106,6 +106,16 @@ def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
     assert pipeline.STAGES[0].name == "frames"
 
 
+def test_a_finished_capture_that_lost_a_picture_is_not_called_finished(clip, tmp_path, capsys):
+    folder = tmp_path / "c"
+    assert run(clip, folder) == 0
+    (folder / "masks" / "000007.png").unlink()
+    assert run(clip, folder, "--resume") == 2
+    message = said(capsys)
+    assert "000007.png" in message and "--overwrite" in message
+    assert run(clip, folder, "--overwrite") == 0
+
+
 def test_existing_folders_are_safe(clip, tmp_path, capsys):
     mine = tmp_path / "mine"
     mine.mkdir()
