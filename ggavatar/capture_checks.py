@@ -79,7 +79,7 @@ def with_remedy(folder: Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if not (folder / RECORDS).is_dir() or not (folder / "capture.json").exists():
+        if REMAKE in str(error) or not (folder / RECORDS).is_dir() or not (folder / "capture.json").exists():
             raise
         raise InputError(f"{error}; the same ggavatar-prep command with --overwrite makes the capture anew") from error
 

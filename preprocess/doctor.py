@@ -118,7 +118,9 @@ def _convention(capture: Capture, head: HeadModel, rankings: Sequence[Ranking]) 
 
 
 def _turning(capture: Capture, head: HeadModel, evidence: Evidence, scores: dict[str, float]) -> list[Finding]:
-    """A convention that only shows in how the face moves."""
+    """A convention that only shows in how the face moves; our own tracker knows ours, and still heads tell little."""
+    if capture.source.get("tracking", {}).get("tracker") == "built-in":
+        return []
     rival = rivals(evidence, capture, head, scores)
     if rival is None:
         return []
@@ -293,4 +295,4 @@ def run(job: Job) -> Mapping[str, Any]:
     return _plain(diagnosis.json())
 
 
-STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW))
+STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW), version=2)

@@ -48,11 +48,13 @@ def _thickness(dark: Bool[np.ndarray, " N"], counted: np.ndarray) -> int:
 
 
 def cut_off(capture: Capture, bars: Bars) -> str:
-    """The flag that crops the source without its bars."""
+    """The flags that crop the source to the largest square in the middle of what its bars leave."""
     crop = capture.source.get("crop")
     if not isinstance(crop, dict) or not all(isinstance(crop.get(key), int) for key in ("x", "y", "width", "height")):
-        return "--crop X,Y,WIDTH,HEIGHT"
+        return "--resume --crop X,Y,WIDTH,HEIGHT"
     scale = crop["width"] / capture.width
     left, top, right, bottom = (int(np.ceil(thickness * scale)) for thickness in bars)
-    inner = (crop["x"] + left, crop["y"] + top, crop["width"] - left - right, crop["height"] - top - bottom)
-    return f"--crop {','.join(map(str, inner))}"
+    width, height = crop["width"] - left - right, crop["height"] - top - bottom
+    side = min(width, height)
+    x, y = crop["x"] + left + (width - side) // 2, crop["y"] + top + (height - side) // 2
+    return f"--resume --crop {x},{y},{side},{side}"

@@ -62,6 +62,9 @@ def test_torn_checkpoint_is_skipped_for_the_last_valid_one(tmp_path: Path, damag
 def test_missing_checkpoint_names_those_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no complete checkpoint"):
         load_checkpoint(tmp_path)
+    (tmp_path / "step-000000003.json").write_text("{}")
+    with pytest.raises(InputError, match="only damaged ones"):
+        load_checkpoint(tmp_path)
     save(tmp_path, 5)
     with pytest.raises(InputError, match="complete checkpoints: 5"):
         load_checkpoint(tmp_path, 6)

@@ -231,6 +231,11 @@ def test_overwrite_replaces_the_run_and_nothing_else(toy_capture: Capture, tmp_p
     assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
 
 
+def test_harmonics_of_a_degree_that_is_not_known_are_refused(toy_capture: Capture, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="sh_degree: expected 0 to 3, found 9"):
+        train_run(toy_capture.folder, tmp_path / "run", {**OPTIONS, "set": ["sh_degree=9"]}, quiet=True)
+
+
 def test_overwrite_spares_another_programs_configuration(toy_capture: Capture, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text('{"model": "mine"}')
     with pytest.raises(InputError, match="expected schema"):
