@@ -7,11 +7,9 @@ simply starts a new pool.
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import os
 import sys
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -22,50 +20,11 @@ import numpy as np
 import torch
 from numba.core.event import Event, Listener, register
 
-
-def source_digest(folder: Path) -> str:
-    """Digest of the sources in `folder` that kernels are made of.
-
-    Numba compares only the file of a kernel itself with its cache; a change in a file that it inlines would go
-    unnoticed.
-    """
-    digest = hashlib.sha256(Path(__file__).read_bytes())
-    at_the_top = folder == Path(__file__).parent
-    for path in sorted(folder.glob("*.py")):
-        text = path.read_bytes()
-        if not at_the_top or b"ggavatar.compiled" in text:
-            digest.update(path.name.encode() + b"\0" + text)
-    return digest.hexdigest()[:12]
-
-
-def cache_folder() -> Path:
-    """The per-user folder for compiled kernels: $GGAVATAR_CACHE, else the user's cache, else a temporary one."""
-    wanted = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    for base in (Path(wanted), Path(tempfile.gettempdir())):
-        folder = base / "ggavatar" / "kernels"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix="ggavatar-kernels-"))
-
+from ggavatar.kernel_cache import KernelCache, cache_folder, source_digest
 
 CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else cache_folder()
-_digests: dict[Path, str] = {}
-
-
-def _cache_for(function: Callable[..., Any]) -> None:
-    """Point Numba, which reads this when it decorates a function, to the cache of the function's present sources."""
-    if CACHE is not None:
-        folder = Path(inspect.getfile(function)).parent
-        digest = _digests.setdefault(folder, _digests.get(folder) or source_digest(folder))
-        numba.config.CACHE_DIR = str(CACHE / digest)
-
 
 OPTIONS = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",  # division by zero follows IEEE
     "boundscheck": False,
@@ -76,13 +35,16 @@ OPTIONS = {
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a kernel on its first call, cached on disk."""
     plain = inspect.unwrap(function)  # tests check types through decorators
-    _cache_for(plain)
-    return numba.njit(**OPTIONS)(plain)
+    dispatcher = numba.njit(**OPTIONS)(plain)
+    if CACHE is not None:  # Numba reads the folder when a cache is made
+        numba.config.CACHE_DIR = str(CACHE / source_digest(Path(inspect.getfile(plain))))
+    dispatcher._cache = KernelCache(plain)
+    return dispatcher
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """A helper of kernels, inlined by LLVM; caching it too would only double the work of the first compilation."""
-    return numba.njit(inline="never", forceinline=True, **(OPTIONS | {"cache": False}))(inspect.unwrap(function))
+    return numba.njit(inline="never", forceinline=True, **OPTIONS)(inspect.unwrap(function))
 
 
 _pools: dict[int, ThreadPoolExecutor] = {}

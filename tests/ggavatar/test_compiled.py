@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,25 +76,6 @@ def test_share_gives_every_worker_a_number_and_every_piece_once() -> None:
     torch.set_num_threads(1)
     compiled.share(kernel, 10, 100)
     assert seen == [(0, 100 + piece) for piece in range(10)]
-
-
-def test_the_digest_follows_the_sources(tmp_path: Path) -> None:
-    (tmp_path / "a.py").write_text("x = 1\n")
-    first = compiled.source_digest(tmp_path)
-    assert first == compiled.source_digest(tmp_path)
-    (tmp_path / "a.py").write_text("x = 2\n")
-    second = compiled.source_digest(tmp_path)
-    (tmp_path / "b.py").write_text("")
-    assert len({first, second, compiled.source_digest(tmp_path)}) == 3
-
-
-def test_the_cache_can_be_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
-    assert compiled.cache_folder() == tmp_path / "ggavatar" / "kernels"
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    monkeypatch.setenv("GGAVATAR_CACHE", str(blocked))
-    assert not str(compiled.cache_folder()).startswith(str(blocked))
 
 
 def test_an_announcement_is_made_once(capsys: pytest.CaptureFixture[str]) -> None:

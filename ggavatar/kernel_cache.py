@@ -1,0 +1,130 @@
+"""The on-disk cache of compiled kernels: what a kernel is made of, where its machine code is kept, when it is trusted.
+
+Numba compares only the file of a kernel itself with its cache. Here the cache's folder is named after a digest of
+every file the kernel can inline or take a constant from, and every cache file carries a digest of its own content.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import functools
+import hashlib
+import io
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+PACKAGES = ("ggavatar", "preprocess", "evaluate")
+ROOT = Path(__file__).parents[1]
+DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+@functools.cache
+def imported_files(path: Path, root: Path) -> frozenset[Path]:
+    """Files of our packages below `root` that the source file `path` imports, wherever in the file."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.update({node.module, *(f"{node.module}.{alias.name}" for alias in node.names)})
+    ours = [root.joinpath(*name.split(".")).with_suffix(".py") for name in names if name.split(".")[0] in PACKAGES]
+    return frozenset(file for file in ours if file.is_file())
+
+
+def kernel_sources(path: Path, root: Path = ROOT) -> tuple[Path, ...]:
+    """The source file `path` and all files of our packages that it imports, directly or through others; sorted."""
+    found, waiting = {path}, [path]
+    while waiting:
+        for file in imported_files(waiting.pop(), root) - found:
+            found.add(file)
+            waiting.append(file)
+    return tuple(sorted(found))
+
+
+@functools.cache
+def source_digest(path: Path, root: Path = ROOT) -> str:
+    """Digest of everything that the kernels in `path` are made of, 12 hexadecimal digits."""
+    digest = hashlib.sha256()
+    for file in kernel_sources(path, root):
+        name = file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+        digest.update(f"{name}\0".encode() + file.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def is_private(folder: Path) -> bool:
+    """Whether `folder` is a real folder that this user owns and nobody else may write to."""
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):
+        return False
+    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
+
+
+def cache_folder() -> Path:
+    """The folder for compiled kernels: in $GGAVATAR_CACHE, else the user's cache, else a temporary one.
+
+    Cache files are executed, so a folder that others could have written to is not used.
+    """
+    wanted = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    folder = Path(wanted) / "ggavatar" / "kernels"
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if is_private(folder) and os.access(folder, os.W_OK):
+            return folder
+    private = Path(tempfile.mkdtemp(prefix="ggavatar-kernels-"))
+    sys.stderr.write(f"kernels are kept in {private} for this process: {folder} is not writable by this user alone\n")
+    return private
+
+
+def _signature(path: str, content: bytes) -> bytes:
+    """Digest of a cache file's content and name, so that a copy under another name is foreign."""
+    return hashlib.sha256(os.path.basename(path).encode() + b"\0" + content).digest()
+
+
+def _is_intact(path: str) -> bool:
+    """Whether a cache file is complete and as it was written; a missing one is not."""
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return content[-DIGEST_BYTES:] == _signature(path, content[:-DIGEST_BYTES])
+
+
+class _CheckedCacheFile(IndexDataCacheFile):
+    """Numba's index and data files, each with a digest at its end; a damaged one counts as missing."""
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        with super()._open_for_write(filepath) as file:
+            content = io.BytesIO()
+            yield content
+            file.write(content.getvalue() + _signature(filepath, content.getvalue()))
+
+    def _load_index(self) -> dict[Any, str]:
+        return super()._load_index() if _is_intact(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        if not _is_intact(self._data_path(name)):
+            raise FileNotFoundError(name)  # the caller compiles anew
+        return super()._load_data(name)
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache of one function on checked files; a full disk costs a compilation, not the program."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _CheckedCacheFile(self._cache_path, self._impl.filename_base, stamp)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the machine code of one signature, where there is room for it."""
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)
