@@ -10,7 +10,7 @@ import numpy as np
 from evaluate.comparison_layout import Sample, comparison
 from evaluate.frame_files import common_frames, find_frame, frame_file
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_grey, read_rgb, write_png
+from ggavatar.io.images import read_grey, read_rgb, write_png
 
 QUANTILES = {0.1: "easy (best 10 %)", 0.5: "median", 0.95: "hard (worst 5 %)"}
 

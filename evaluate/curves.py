@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from evaluate.catalogue import metric_of, title_of
 from evaluate.shown import Shown, measured, names_of
-from ggavatar.arrays import write_atomically
+from ggavatar.io.atomic import write_atomically
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B")
 """Okabe and Ito's palette, which readers with any colour vision can tell apart."""

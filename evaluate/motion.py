@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.arrays import read_npz
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.io.npz import read_npz
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from evaluate.frame_files import frame_files
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header
+from ggavatar.io.images import picture_header
 
 MASKS = "masks"
 

@@ -20,10 +20,10 @@ from evaluate.efficiency import device_of, model_megabytes, peak_memory_megabyte
 from evaluate.frame_files import frame_file, to_8_bit
 from evaluate.ground_truth import Pictures, Truth
 from evaluate.protocol import GIVEN, Protocol
-from ggavatar.arrays import write_atomically
 from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
-from ggavatar.pictures import write_png
+from ggavatar.io.atomic import write_atomically
+from ggavatar.io.images import write_png
 from ggavatar.runs import Run, choose_split, open_run
 
 FOLDERS = ("predictions", "ground_truth", "masks")

@@ -16,7 +16,7 @@ from ggavatar.core import Camera, Drive
 from ggavatar.geometry import project
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
-from ggavatar.pictures import read_grey, write_png
+from ggavatar.io.images import read_grey, write_png
 from ggavatar.runs import Run
 
 

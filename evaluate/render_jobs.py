@@ -31,7 +31,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.source import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
-from ggavatar.pictures import read_rgb, write_png
+from ggavatar.io.images import read_rgb, write_png
 from ggavatar.runs import Run, open_run
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from torch import Tensor
 from evaluate.frame_files import frame_file, to_8_bit
 from evaluate.ground_truth import Color
 from evaluate.video import video_writer
-from ggavatar.arrays import write_atomically
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_rgb, write_png
+from ggavatar.io.atomic import write_atomically
+from ggavatar.io.images import read_rgb, write_png
 
 NOTE, VIDEO, FRAMES, CUTOUTS = "render.json", "render.mp4", "frames", "rgba"
 BATCH = 8

@@ -15,8 +15,8 @@ from evaluate.catalogue import metric_of
 from evaluate.metrics import pooled_psnr
 from evaluate.protocol import Protocol, from_dict
 from evaluate.statistics import Summary, summarise
-from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_atomically
 
 SCHEMA, VERSION = "ggavatar-evaluation", 1
 METRICS_FILE, FRAMES_FILE = "metrics.json", "per_frame.csv"

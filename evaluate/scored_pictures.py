@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header
+from ggavatar.io.images import picture_header
 
 Color = tuple[float, float, float]
 

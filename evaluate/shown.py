@@ -15,7 +15,7 @@ from evaluate.comparison_table import printed
 from evaluate.frame_files import find_frame
 from evaluate.results import Evaluation
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_rgb
+from ggavatar.io.images import read_rgb
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from evaluate.lettering import INK, MUTED, strip
 from evaluate.metrics import absolute_error, psnr
 from evaluate.sheet import type_size
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_rgb
+from ggavatar.io.images import read_rgb
 
 CRF = 18
 

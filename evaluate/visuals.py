@@ -13,7 +13,7 @@ from evaluate.results import METRICS_FILE
 from evaluate.shown import Shown, names_of
 from evaluate.video import write_side_by_side
 from evaluate.worst import write_worst_frames
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 
 REPORT, COMPARISON, VIDEO, CURVES, WORST = (
     "report.html",

@@ -11,7 +11,7 @@ from evaluate.heatmap import colored, shared_limit
 from evaluate.metrics import absolute_error
 from evaluate.sheet import Row, resized, sheet
 from evaluate.shown import Shown, worst_frames
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 
 
 def worst_sheet(shown: Shown, count: int = 6, metric: str = "psnr", width: int = 256) -> np.ndarray:

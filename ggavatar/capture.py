@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.arrays import write_npz
 from ggavatar.capture_checks import (
     check_head,
     check_pictures,
@@ -26,7 +25,8 @@ from ggavatar.capture_checks import (
     write_description,
 )
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_grey, read_rgb, write_png
+from ggavatar.io.images import read_grey, read_rgb, write_png
+from ggavatar.io.npz import write_npz
 from ggavatar.splits import Split
 
 DESCRIPTION, TRACKING, HEAD, IMAGES, MASKS = "capture.json", "tracking.npz", "head.npz", "images", "masks"

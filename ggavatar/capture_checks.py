@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import npz_headers, read_npz, write_text
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header
+from ggavatar.io.atomic import write_text
+from ggavatar.io.images import picture_header
+from ggavatar.io.json_files import read_json
+from ggavatar.io.npz import npz_headers, read_npz
 
 SCHEMA, VERSION = "ggavatar-capture", 1
-MAX_JSON_BYTES = 1 << 26
 REMAKE = "make the capture again with ggavatar-prep"
 RECORDS = ".prep"
 """Subfolder that holds the records of ggavatar-prep's stages; it also marks a capture as made by it."""
@@ -49,28 +50,6 @@ _HEAD_SHAPES: dict[str, tuple[int | str, ...]] = {
     "joint_names": ("J",),
     "version": (),
 }
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file of bounded size; NaN and infinities are refused."""
-
-    def refuse(constant: str) -> float:
-        raise ValueError(f"{constant} is not a number JSON knows")
-
-    try:
-        size = path.stat().st_size
-        if size > MAX_JSON_BYTES:
-            raise InputError(f"{path}: {size >> 20} MiB of JSON, the limit is {MAX_JSON_BYTES >> 20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: expected a JSON file, found a folder") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON ({error})") from error
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: expected a JSON object, found {type(data).__name__}")
-    return data
 
 
 @contextmanager

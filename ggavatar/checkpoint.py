@@ -19,8 +19,8 @@ from safetensors import SafetensorError
 from safetensors import torch as safetensors
 from torch import Tensor, nn
 
-from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_atomically
 
 KEPT = 2
 """Complete checkpoints that are never removed."""

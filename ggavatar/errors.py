@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from ggavatar.process import prepare_process
 
@@ -54,3 +55,9 @@ def _next_step(code: int | None) -> str:
 def _report(kind: str, message: object, code: int) -> int:
     sys.stderr.write(f"{kind}: {message}\n")
     return code
+
+
+def nearest(name: str, known: Collection[str]) -> str:
+    """' (did you mean …?)' if something known is close, else nothing."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f" (did you mean {close[0]}?)" if close else ""

@@ -18,8 +18,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ggavatar.errors import InputError
-from ggavatar.settings import from_plain, nearest, override
+from ggavatar.errors import InputError, nearest
+from ggavatar.io.dataclass_json import from_plain, override
 
 FOLDER = Path(__file__).parent / "methods"
 

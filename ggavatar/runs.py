@@ -22,16 +22,16 @@ import torch
 from torch import Tensor
 
 from ggavatar import registry
-from ggavatar.arrays import write_atomically
 from ggavatar.batches import Frames, spaced
 from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.core import Frame, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
+from ggavatar.io.dataclass_json import from_plain, to_plain
+from ggavatar.io.json_files import write_json
 from ggavatar.scene import Scene
 from ggavatar.schedule import Training
-from ggavatar.settings import from_plain, to_plain
 from ggavatar.splits import Split, split_frames, split_name
 
 SCHEMA, VERSION = "ggavatar-run", 1
@@ -253,12 +253,6 @@ def read_split(folder: Path) -> Split:
         return Split(tuple(map(int, values["train"])), tuple(map(int, values["test"])))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: expected lists train and test of frame numbers ({error!r})") from error
-
-
-def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write JSON atomically."""
-    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import torch
 from ggavatar import registry
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import write_json
 from ggavatar.progress import Line, Listener, Silence, peak_memory_mib
 from ggavatar.runs import (
     RunConfig,
@@ -28,7 +29,6 @@ from ggavatar.runs import (
     read_config,
     read_split,
     write_config,
-    write_json,
 )
 from ggavatar.schedule import preset
 from ggavatar.splits import Split

@@ -24,8 +24,7 @@ import tyro
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ggavatar import registry
-from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, run_command
-from ggavatar.settings import nearest
+from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, nearest, run_command
 from ggavatar.sweep_backends import Backend, Job, LocalProcesses, Outcome, RayCluster, logged
 from ggavatar.sweep_budget import fitting_steps
 from ggavatar.version import answer_version

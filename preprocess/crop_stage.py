@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
+from ggavatar.io.ordered_map import in_order
 from preprocess.crop import Crop, explicit, rectangle, square, square_around, whole_frame
 from preprocess.frames import DecodedFrame, open_source
 from preprocess.importing import SWAPPED_SIZE, read_foreign
-from preprocess.in_order import in_order
 from preprocess.options import PrepOptions
 from preprocess.read_stage import selection_of
 from preprocess.record import ForeignTracking

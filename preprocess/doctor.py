@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import write_text
 from ggavatar.capture import Capture
 from ggavatar.head.model import HeadModel
+from ggavatar.io.atomic import write_text
 from preprocess import quality
 from preprocess.evidence import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
 from preprocess.hypotheses import AXES, EYES, OTHERS

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 
 from ggavatar.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
+from ggavatar.io.ordered_map import in_order
 from preprocess.hypotheses import AXES, OTHERS, Hypothesis
-from preprocess.in_order import in_order
 from preprocess.pairing import find_offset, picture_change
 from preprocess.posing import overlap, posed_vertices, project, silhouette
 

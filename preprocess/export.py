@@ -20,7 +20,7 @@ from ggavatar.errors import InputError
 from ggavatar.geometry import axis_angle_to_matrix, matrix_to_axis_angle
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
-from ggavatar.pictures import write_jpeg, write_png
+from ggavatar.io.images import write_jpeg, write_png
 from preprocess.crop import Crop
 from preprocess.importers import metrical_tracker, vhap
 from preprocess.record import FLAME_JOINTS, ForeignTracking

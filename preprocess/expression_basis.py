@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ggavatar.io.ordered_map import in_order
 from preprocess.face_model import JAW_DEGREES, FaceModel, FaceMotion
-from preprocess.in_order import in_order
 from preprocess.rigid import Lens, Observations, Poses, project, projection_slopes, robust_weights
 
 CHUNK = 64

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header, read_rgb
+from ggavatar.io.images import picture_header, read_rgb
 
 PICTURES = frozenset({".png", ".jpg", ".jpeg"})
 _SLICE = re.compile(r"^(\d*):(\d*)(?::(\d+))?$")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import GateError, InputError
-from ggavatar.pictures import picture_header, read_grey, read_rgb, write_png
+from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
+from ggavatar.io.ordered_map import in_order
 from preprocess.crop import Crop, crop_from_json
 from preprocess.frames import numbered_pictures
-from preprocess.in_order import in_order
 from preprocess.options import PrepOptions
 from preprocess.stage import Job, Stage, file_state
 

@@ -19,8 +19,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_atomically
 from ggavatar.model_folders import model_folders
 
 WHEEL = "mediapipe==0.10.21"

@@ -18,7 +18,7 @@ from jaxtyping import Float, UInt8
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from preprocess.in_order import in_order
+from ggavatar.io.ordered_map import in_order
 from preprocess.posing import posed_vertices, project
 
 PAIRS = 120

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, UInt8
 
 from ggavatar.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
-from preprocess.in_order import in_order
+from ggavatar.io.ordered_map import in_order
 from preprocess.posing import posed_vertices, project
 
 BLURRED = 0.3

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 from ggavatar.capture import Capture
 from ggavatar.head.model import HeadModel
-from ggavatar.pictures import write_jpeg
+from ggavatar.io.images import write_jpeg
 from preprocess.posing import posed_vertices, project
 
 COLUMNS, SIDE = 8, 256

@@ -17,8 +17,8 @@ from scipy.sparse import csr_array
 
 from ggavatar.capture import Tracking
 from ggavatar.head.model import HeadModel
+from ggavatar.io.ordered_map import in_order
 from preprocess.generic_head import GenericHead
-from preprocess.in_order import in_order
 from preprocess.posing import overlap, posed_vertices, project, silhouette
 from preprocess.rigid import spread_evenly
 from preprocess.surface_extension import SurfaceExtension

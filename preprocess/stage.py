@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from ggavatar.arrays import write_text
-from ggavatar.capture_checks import RECORDS, read_json
+from ggavatar.capture_checks import RECORDS
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_text
+from ggavatar.io.json_files import read_json
 from preprocess.options import PrepOptions
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.capture import Tracking
 from ggavatar.head.model import HeadModel
-from preprocess.in_order import in_order
+from ggavatar.io.ordered_map import in_order
 from preprocess.outline_poses import Edges, reduced_distances
 from preprocess.posing import posed_vertices, project
 from preprocess.rigid import Lens, Poses

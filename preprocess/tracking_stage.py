@@ -10,11 +10,11 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from ggavatar.arrays import write_npz
 from ggavatar.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.pictures import read_grey, read_rgb
+from ggavatar.io.images import read_grey, read_rgb
+from ggavatar.io.npz import write_npz
 from preprocess.crop import crop_from_json
 from preprocess.hypotheses import apply_fixes
 from preprocess.importing import SWAPPED_SIZE, read_foreign

@@ -12,7 +12,7 @@ import av
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.pictures import MAX_PIXELS
+from ggavatar.io.images import MAX_PIXELS
 from preprocess.frames import DecodedFrame
 
 # Containers only: playlists and concatenation scripts could make the decoder open other files or addresses.

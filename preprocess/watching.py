@@ -9,8 +9,8 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.face.landmarks import LandmarkTracker
+from ggavatar.io.ordered_map import in_order
 from preprocess.clip_fit import Clip
-from preprocess.in_order import in_order
 from preprocess.outline_poses import Edges, reduced_distances
 from preprocess.rigid import nearest_true
 from preprocess.silhouette_fit import Outlines, chosen_rows, reduce_mask

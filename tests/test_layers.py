@@ -18,7 +18,7 @@ NAMES = [str(path.relative_to(ROOT)) for path in SOURCES]
 ALLOWED = {"ggavatar": {"ggavatar"}, "preprocess": {"ggavatar", "preprocess"}, "evaluate": {"ggavatar", "evaluate"}}
 RANK = {"core": 0, "errors": 0, "process": 0, "acceleration": 0, "compiled": 0, "geometry": 1, "triangle_kernel": 1}
 RANK |= {"methods": 3, "trainer": 4, "cli": 5, "sweep": 5, "session": 5}
-UNPICKLER = "ggavatar/unpickle.py"
+UNPICKLER = "ggavatar/io/restricted_pickle.py"
 
 
 def imported_modules(path: Path) -> set[str]:

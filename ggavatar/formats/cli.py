@@ -11,9 +11,8 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional, arg
 
-from ggavatar.errors import InputError, run_command
+from ggavatar.errors import InputError, nearest, run_command
 from ggavatar.formats.capture_formats import capture_formats, export_capture
-from ggavatar.settings import nearest
 from ggavatar.version import answer_version
 
 RUN_FORMATS = ("ply", "splat", "spz", "gaussian-avatars")

@@ -12,12 +12,13 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.arrays import read_npz, write_atomically
 from ggavatar.batches import head_pose
 from ggavatar.core import Drive
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_teeth import FLAME_VERTICES, WITH_TEETH_VERTICES
 from ggavatar.head.model import HeadModel
+from ggavatar.io.atomic import write_atomically
+from ggavatar.io.npz import read_npz
 
 FILE = "flame_param.npz"
 LARGEST = 1e4

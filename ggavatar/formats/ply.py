@@ -13,8 +13,8 @@ from typing import IO
 import numpy as np
 from numpy import ndarray
 
-from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_atomically
 
 MAX_HEADER_BYTES, MAX_PROPERTIES, MAX_ROWS = 1 << 16, 512, 50_000_000
 _TYPES = {

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
-from ggavatar.arrays import npz_headers, read_npz
 from ggavatar.batches import head_pose
 from ggavatar.core import Drive
 from ggavatar.errors import InputError
@@ -20,6 +19,7 @@ from ggavatar.formats.flame_parameters import read_flame_parameters
 from ggavatar.geometry import invert_rigid
 from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.model import HeadModel
+from ggavatar.io.npz import npz_headers, read_npz
 from ggavatar.pose import HeadPoses
 from ggavatar.runs import Run
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 
-from ggavatar.arrays import write_atomically
 from ggavatar.formats.stored import Stored
+from ggavatar.io.atomic import write_atomically
 
 MAGIC, VERSION, FRACTION_BITS = 0x5053474E, 3, 12
 _HALF_DIAGONAL = np.sqrt(0.5)

@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.arrays import npz_headers, read_npz
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
+from ggavatar.io.npz import npz_headers, read_npz
 
 MAX_VERTICES = 2_000_000
 _REAL = ("template", "expression_basis", "pose_basis", "eyelid_basis", "joint_regressor", "skinning_weights")

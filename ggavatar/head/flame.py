@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from ggavatar.arrays import read_npz
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.unpickle import read_pickle
+from ggavatar.io.npz import read_npz
+from ggavatar.io.restricted_pickle import read_pickle
 
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
 IDENTITY_COEFFICIENTS = 300

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import read_npz, write_npz
 from ggavatar.errors import InputError
+from ggavatar.io.npz import read_npz, write_npz
 from preprocess.foreign_json import camera_matrix, last_number
 from preprocess.record import ForeignTracking, require_finite, stacked
 

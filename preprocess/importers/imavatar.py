@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import write_text
-from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header
+from ggavatar.io.atomic import write_text
+from ggavatar.io.images import picture_header
+from ggavatar.io.json_files import read_json
 from preprocess.foreign_json import array, camera_matrix, frame_list, last_number
 from preprocess.record import ForeignTracking, require_finite, stacked
 

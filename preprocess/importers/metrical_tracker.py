@@ -16,7 +16,7 @@ import torch
 
 from ggavatar.errors import InputError
 from ggavatar.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rotation_6d, rotation_6d_to_matrix
-from ggavatar.unpickle import read_pickle
+from ggavatar.io.restricted_pickle import read_pickle
 from preprocess.record import ForeignTracking, require_finite, stacked
 
 TITLE = "metrical-tracker: folder of %05d.frame"

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ggavatar.arrays import write_text
-from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_text
+from ggavatar.io.json_files import read_json
 from preprocess.foreign_json import (
     array,
     camera_matrix,

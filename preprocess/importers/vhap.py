@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.arrays import read_npz, write_npz, write_text
-from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_text
+from ggavatar.io.json_files import read_json
+from ggavatar.io.npz import read_npz, write_npz
 from preprocess.foreign_json import (
     array,
     camera_matrix,

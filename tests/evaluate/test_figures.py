@@ -15,7 +15,7 @@ from evaluate.heatmap import colored, scale_bar, shared_limit
 from evaluate.lettering import coverage, fitted, put
 from evaluate.sheet import GAP, Row, resized, sheet
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_rgb, write_png
+from ggavatar.io.images import read_rgb, write_png
 
 
 @pytest.fixture

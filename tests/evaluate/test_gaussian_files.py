@@ -20,7 +20,7 @@ from ggavatar.formats.gaussian_ply import write_gaussian_ply
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import stored
 from ggavatar.geometry import triangle_frames
-from ggavatar.pictures import read_rgb
+from ggavatar.io.images import read_rgb
 from ggavatar.render.reference import rasterize
 
 

@@ -16,7 +16,7 @@ from evaluate.ground_truth import Truth
 from evaluate.predict import Job, job_of, predict_frames
 from evaluate.protocol import named
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_grey, read_rgb
+from ggavatar.io.images import read_grey, read_rgb
 from ggavatar.runs import Run
 
 WHITE = Truth((1.0, 1.0, 1.0))

@@ -16,7 +16,7 @@ from visual_toys import COUNT, HEIGHT, WIDTH, toy_run, write_capture
 import evaluate.render_jobs
 from evaluate.render_cli import counter, main
 from evaluate.render_views import straight_alpha
-from ggavatar.pictures import read_rgb
+from ggavatar.io.images import read_rgb
 from ggavatar.runs import Run
 
 

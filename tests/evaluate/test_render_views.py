@@ -11,7 +11,7 @@ import torch
 from evaluate import render_views
 from evaluate.render_views import Output, View
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
-from ggavatar.pictures import read_rgb
+from ggavatar.io.images import read_rgb
 
 
 class Grey:

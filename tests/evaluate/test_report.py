@@ -26,7 +26,7 @@ from evaluate.shown import Shown, names_of, worst_frames
 from evaluate.visuals import write_studies, write_visuals
 from evaluate.worst import worst_sheet
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_rgb, write_png
+from ggavatar.io.images import read_rgb, write_png
 
 FRAMES = tuple(range(0, 240, 20))
 HOSTILE = "</script><img src=http://evil.example/x onerror=alert(1)>"

@@ -11,7 +11,7 @@ import pytest
 from evaluate.frame_files import frame_file
 from evaluate.video import playback_fps, video_writer, write_side_by_side
 from ggavatar.errors import InputError
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 
 
 def decoded(path: Path) -> tuple[list[np.ndarray], float]:

@@ -11,11 +11,11 @@ import zipfile
 import numpy as np
 import pytest
 
-from ggavatar import arrays, pictures
-from ggavatar.arrays import npz_headers, read_npz, write_npz
 from ggavatar.capture import Capture, Tracking
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header, read_grey, read_rgb, write_png
+from ggavatar.io import images, npz
+from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
+from ggavatar.io.npz import npz_headers, read_npz, write_npz
 from ggavatar.splits import Split, split_frames
 
 NUMBERS = (3, 4, 7, 9)
@@ -263,7 +263,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
     calls = 0
 
     def failing(stop):
-        original = arrays.os.replace
+        original = npz.os.replace
         state = {"left": stop}
 
         def replace(source, target):
@@ -276,7 +276,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
     for stop in range(11):
         with monkeypatch.context() as patch:
-            patch.setattr(arrays.os, "replace", failing(stop))
+            patch.setattr(npz.os, "replace", failing(stop))
             with pytest.raises(OSError, match="No space left"):
                 a_capture(tmp_path / "cap").write(pictures_of(NUMBERS), head_arrays())
         assert list(tmp_path.iterdir()) == []
@@ -286,7 +286,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
 def test_interrupted_write_keeps_the_old_file(folder, monkeypatch):
     before = (folder / "tracking.npz").read_bytes()
-    monkeypatch.setattr(arrays.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
+    monkeypatch.setattr(npz.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
     with pytest.raises(OSError, match="full"):
         write_npz(folder / "tracking.npz", {"x": np.zeros(3)})
     assert (folder / "tracking.npz").read_bytes() == before
@@ -313,7 +313,7 @@ def test_npz_refuses_objects_bombs_and_lies(tmp_path, monkeypatch):
     np.savez(path, a=np.array([{}], dtype=object))
     with pytest.raises(InputError, match="Python objects"):
         read_npz(path)
-    monkeypatch.setattr(arrays, "MAX_ARCHIVE_BYTES", 1 << 20)
+    monkeypatch.setattr(npz, "MAX_ARCHIVE_BYTES", 1 << 20)
     np.savez_compressed(path, a=np.zeros(1 << 18))
     assert path.stat().st_size < 10_000
     with pytest.raises(InputError, match="unpacks to 2 MiB"):
@@ -353,6 +353,6 @@ def test_pictures_of_other_kinds(tmp_path):
     cut[..., 3] = 77
     cv2.imwrite(str(tmp_path / "cut.png"), cut)
     assert (read_grey(tmp_path / "cut.png") == 77).all() and read_rgb(tmp_path / "cut.png").shape == (4, 6, 3)
-    pictures.write_jpeg(tmp_path / "p.jpg", np.full((10, 20, 3), 90, np.uint8))
+    images.write_jpeg(tmp_path / "p.jpg", np.full((10, 20, 3), 90, np.uint8))
     assert picture_header(tmp_path / "p.jpg")[:2] == (20, 10)
     assert abs(int(read_rgb(tmp_path / "p.jpg")[5, 5, 0]) - 90) <= 2

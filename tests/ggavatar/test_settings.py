@@ -8,8 +8,8 @@ from typing import Literal
 
 import pytest
 
-from ggavatar.errors import InputError
-from ggavatar.settings import from_plain, nearest, override, to_plain
+from ggavatar.errors import InputError, nearest
+from ggavatar.io.dataclass_json import from_plain, override, to_plain
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from ggavatar import registry
 from ggavatar.capture import Capture
 from ggavatar.checkpoint import complete_steps, load_checkpoint
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import write_json
 from ggavatar.progress import read_journal
-from ggavatar.runs import open_run, write_config, write_json
+from ggavatar.runs import open_run, write_config
 from ggavatar.session import Interrupted, configure, make_trainer, train_run
 from ggavatar.trainer import FiniteGuard, StopSignals, Trainer, TrainingError
 

@@ -22,9 +22,9 @@ import pytest
 import scipy.sparse
 import torch
 
-from ggavatar import unpickle
 from ggavatar.errors import InputError
-from ggavatar.unpickle import read_pickle
+from ggavatar.io import restricted_pickle
+from ggavatar.io.restricted_pickle import read_pickle
 
 PLAIN = {
     "array": np.arange(6, dtype=np.float32).reshape(2, 3),
@@ -167,7 +167,7 @@ def payloads(marker):
 
 def test_nothing_runs(tmp_path):
     marker, path = tmp_path / "ran", tmp_path / "evil.pkl"
-    defaults = unpickle._reconstruct.__defaults__
+    defaults = restricted_pickle._reconstruct.__defaults__
     attempts = list(payloads(marker))
     for payload in attempts:
         path.write_bytes(payload)
@@ -182,7 +182,7 @@ def test_nothing_runs(tmp_path):
             found = read_pickle(tmp_path / "evil.frame")
             raise InputError("harmless")
     assert len(attempts) > 20 and not marker.exists()
-    assert unpickle._reconstruct.__defaults__ == defaults
+    assert restricted_pickle._reconstruct.__defaults__ == defaults
 
 
 def test_message_says_what_was_refused(tmp_path):

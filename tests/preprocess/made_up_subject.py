@@ -12,7 +12,7 @@ import torch
 from ggavatar.capture import Tracking
 from ggavatar.head.files import save_head
 from ggavatar.head.model import HeadModel
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 from preprocess.importers import metrical_tracker
 from preprocess.posing import posed_vertices, project, silhouette
 from preprocess.record import ForeignTracking

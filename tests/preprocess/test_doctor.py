@@ -15,7 +15,7 @@ import pytest
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.pictures import picture_header, write_png
+from ggavatar.io.images import picture_header, write_png
 from preprocess.cli import main as prep
 from preprocess.doctor import examine
 from preprocess.doctor_cli import main as doctor
@@ -194,7 +194,7 @@ def test_report_and_preview_are_written(folder, capsys):
 def test_strict_doctor_fails(folder, tmp_path, capsys):
     import shutil
 
-    from ggavatar.arrays import read_npz, write_npz
+    from ggavatar.io.npz import read_npz, write_npz
 
     wrong = tmp_path / "wrong"
     shutil.copytree(folder, wrong)

@@ -10,7 +10,7 @@ from made_up_subject import as_tracking, ball_head, make_clip, moving_record
 
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.pictures import picture_header, read_rgb
+from ggavatar.io.images import picture_header, read_rgb
 from preprocess import export
 from preprocess.cli import main
 from preprocess.export import centred, export_flash_avatar, export_gaussian_avatars, posed_by_camera, posed_by_flame

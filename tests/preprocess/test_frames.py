@@ -10,7 +10,7 @@ import pytest
 from made_up_subject import write_video
 
 from ggavatar.errors import InputError
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 from preprocess.frames import PictureFolder, Selection, open_source, parse_selection
 from preprocess.video import Video
 

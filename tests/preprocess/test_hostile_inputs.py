@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from made_up_subject import moving_record, weak_perspective, write_video
 
-from ggavatar.arrays import read_npz
-from ggavatar.capture_checks import read_json
 from ggavatar.errors import InputError
-from ggavatar.pictures import read_grey, read_rgb, write_jpeg, write_png
+from ggavatar.io.images import read_grey, read_rgb, write_jpeg, write_png
+from ggavatar.io.json_files import read_json
+from ggavatar.io.npz import read_npz
 from preprocess.frames import open_source
 from preprocess.importing import importer, importer_names
 

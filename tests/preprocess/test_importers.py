@@ -11,7 +11,7 @@ import torch
 from made_up_subject import as_tracking, ball_head, moving_record, weak_perspective
 
 from ggavatar.errors import InputError
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 from preprocess.importers import deca, imavatar, metrical_tracker, nerface, nerfblendshape, vhap
 from preprocess.importing import detect_format, importer, importer_names
 from preprocess.options import PrepOptions

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from preprocess.in_order import AHEAD, cores, in_order
+from ggavatar.io.ordered_map import AHEAD, cores, in_order
 
 
 def test_results_keep_their_order_whoever_is_first() -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from ggavatar.errors import InputError
-from preprocess.in_order import AHEAD, cores
+from ggavatar.io.ordered_map import AHEAD, cores
 from preprocess.masks import SelfieMatting, only_person, open_matting, to_mask
 
 

@@ -14,7 +14,7 @@ from made_up_subject import draw, make_clip, write_video
 
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.pictures import write_png
+from ggavatar.io.images import write_png
 from preprocess.cli import main
 from preprocess.importers import metrical_tracker
 
@@ -284,9 +284,9 @@ def test_flame_versions_never_mix(clip, tmp_path, capsys):
 
 
 def test_full_disk(clip, tmp_path, monkeypatch, capsys):
-    from ggavatar import arrays
+    from ggavatar.io import npz
 
-    original, left = arrays.os.replace, 30
+    original, left = npz.os.replace, 30
 
     def replace(source, target):
         nonlocal left
@@ -295,7 +295,7 @@ def test_full_disk(clip, tmp_path, monkeypatch, capsys):
             raise OSError(errno.ENOSPC, "No space left on device", str(target))
         original(source, target)
 
-    monkeypatch.setattr(arrays.os, "replace", replace)
+    monkeypatch.setattr(npz.os, "replace", replace)
     assert run(clip, tmp_path / "c") == 1
     assert "free some space" in said(capsys)
     assert not list((tmp_path / "c").rglob("*.part"))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import torch
 
-from ggavatar import arrays as array_files
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
+from ggavatar.io import npz as array_files
 
 
 def small_head(uv: bool = True) -> HeadModel:

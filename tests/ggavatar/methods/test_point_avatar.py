@@ -14,12 +14,13 @@ from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame
 from ggavatar.geometry import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
+from ggavatar.io.json_files import write_json
 from ggavatar.losses import l1
 from ggavatar.methods.point_avatar import PRESETS, UNIT, Config, PointAvatar, build, cloud_schedule, rasterizer
 from ggavatar.progress import read_journal
 from ggavatar.registry import load
 from ggavatar.render.disc_values import DiscRendering, Discs
-from ggavatar.runs import write_config, write_json
+from ggavatar.runs import write_config
 from ggavatar.scene import Scene
 from ggavatar.session import configure, make_trainer
 from ggavatar.trainer import StopSignals, Trainer

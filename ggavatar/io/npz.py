@@ -6,11 +6,9 @@ No pickled objects, no allocation before the sizes are known, atomic writes.
 from __future__ import annotations
 
 import errno
-import os
-import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_atomically
 
 MAX_ARCHIVE_BYTES = 1 << 29
 """Largest sum of uncompressed arrays that is read from one archive (512 MiB).
@@ -163,38 +162,3 @@ def _write_members(stream: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
         for name, array in arrays.items():
             with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
                 npy.write_array(member, np.asanyarray(array), allow_pickle=False)
-
-
-def write_atomically(path: Path, write: Callable[[IO[bytes]], object], durable: bool = True) -> None:
-    """Call `write` with a temporary file beside `path` and rename it; on any failure the old file stays.
-
-    Args:
-        path: The file to appear.
-        write: Receives the open temporary file.
-        durable: Wait until the disk has the bytes, so that even a power cut leaves the old file or the new one.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix + ".part", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            write(stream)
-            stream.flush()
-            if durable:
-                os.fsync(stream.fileno())
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8) atomically."""
-    write_atomically(path, lambda stream: stream.write(text.encode("utf-8")))
-
-
-def _umask() -> int:
-    """The process's file mode mask (the system offers no way to read it without setting it)."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -6,15 +6,14 @@ Unknown names are refused.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
 import types
 import typing
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
-from ggavatar.errors import InputError
+from ggavatar.errors import InputError, nearest
 
 T = TypeVar("T")
 
@@ -54,12 +53,6 @@ def override(config: T, assignments: Iterable[str], where: str) -> T:
             raise InputError(f"{where}: expected name=value, found {assignment!r}")
         changes[name.strip()] = _sensible(_parsed(text), f"{where}: {assignment}")
     return from_plain(type(config), {**to_plain(config), **changes}, where)
-
-
-def nearest(name: str, known: Collection[str]) -> str:
-    """' (did you mean …?)' if something known is close, else nothing."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (did you mean {close[0]}?)" if close else ""
 
 
 def _parsed(text: str) -> Any:

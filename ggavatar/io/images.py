@@ -12,8 +12,8 @@ from typing import IO, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from ggavatar.arrays import write_atomically
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_atomically
 
 MAX_PIXELS = 34_000_000
 """Largest picture that is decoded (34 megapixels); 8K video has 33.2."""

@@ -1,0 +1,1 @@
+"""Files in and out: arrays, images, JSON, pickles of others; bounded, checked, atomic."""
