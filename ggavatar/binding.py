@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.acceleration import compiled_for
 from ggavatar.geometry import TriangleFrames, matrix_to_quaternion, quaternion_multiply
-from ggavatar.padding import flat, memory_of, padded
+from ggavatar.jit.dispatch import compiled_for
+from ggavatar.jit.padding import flat, memory_of, padded
 
 
 class Placed(NamedTuple):

@@ -11,19 +11,12 @@ import numpy as np
 from jaxtyping import Float32, Int64
 from numpy import ndarray
 
-from ggavatar.compiled import inlined, kernel, share
-from ggavatar.quaternions import (
-    conjugate,
-    from_matrix,
-    inverse_length,
-    product,
-    row,
-    scaled,
-    through_normalisation,
-)
-from ggavatar.render.cpu_shapes import columns_3, columns_4, dot
-from ggavatar.render.memory import load, pointer, store_columns, take_ticket, transpose
-from ggavatar.render.simd import LANES, exp, maximum, sqrt
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import load, pointer, store_columns, take_ticket, transpose
+from ggavatar.jit.quaternions import conjugate, from_matrix, inverse_length, product, row, scaled, through_normalisation
+from ggavatar.jit.simd import LANES, exp, maximum, sqrt
+from ggavatar.jit.threads import share
+from ggavatar.jit.vectors import columns_3, columns_4, dot
 
 CHUNK = 2048
 """Gaussians of a piece of work."""

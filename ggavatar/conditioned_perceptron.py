@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.deform import linear
-from ggavatar.fast_products import in_whole_groups
+from ggavatar.jit.bfloat16 import in_whole_groups
 
 GROUP = 1024
 """Rows of the backward pass come in multiples of this."""

@@ -11,7 +11,7 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import conv2d, l1_loss
 
-from ggavatar.acceleration import compiled_for
+from ggavatar.jit.dispatch import compiled_for
 
 WINDOW, SIGMA = 11, 1.5
 LUMINANCE, CONTRAST = 0.01**2, 0.03**2

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray
 
-from ggavatar.compiled import inlined, kernel, run
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.threads import run
 
 WINDOW, REACH, SIGMA = 11, 5, 1.5
 LUMINANCE, CONTRAST = np.float32(0.01**2), np.float32(0.03**2)

@@ -17,7 +17,7 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 from torch import Tensor, nn
 
-from ggavatar.acceleration import compiled_for
+from ggavatar.jit.dispatch import compiled_for
 
 if TYPE_CHECKING:
     from ggavatar import triplane

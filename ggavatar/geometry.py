@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.acceleration import compiled_for
+from ggavatar.jit.dispatch import compiled_for
 
 
 class TriangleFrames(NamedTuple):

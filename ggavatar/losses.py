@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import huber_loss, l1_loss
 
-from ggavatar.acceleration import compiled_for
 from ggavatar.dssim import DssimTarget, dssim, image_terms
-from ggavatar.padding import memory_of, padded
+from ggavatar.jit.dispatch import compiled_for
+from ggavatar.jit.padding import memory_of, padded
 
 __all__ = [
     "DssimTarget",

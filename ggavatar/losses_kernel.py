@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray
 
-from ggavatar.compiled import inlined, kernel, run
-from ggavatar.render.cpu_shapes import columns_3, dot
-from ggavatar.render.memory import gather_flags, load_flags, pointer, store_columns
-from ggavatar.render.simd import LANES, exp, maximum, select, splat, sqrt, total
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import gather_flags, load_flags, pointer, store_columns
+from ggavatar.jit.simd import LANES, exp, maximum, select, splat, sqrt, total
+from ggavatar.jit.threads import run
+from ggavatar.jit.vectors import columns_3, dot
 
 CHUNK = 1 << 16
 """Numbers of a task; sums are taken per task and then in order."""

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.acceleration import compiled_for
 from ggavatar.geometry import quaternion_multiply
-from ggavatar.padding import memory_of, padded
+from ggavatar.jit.dispatch import compiled_for
+from ggavatar.jit.padding import memory_of, padded
 
 COLOUR = 10
 """Column of the first colour row, if there are any."""

@@ -11,8 +11,8 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import linear, relu
 
-from ggavatar.acceleration import compiled_for
 from ggavatar.fields import Field, HashTriplane, kernel_layout, kernel_points
+from ggavatar.jit.dispatch import compiled_for
 
 Layer = tuple[Tensor, Tensor]
 """Weight [outputs, inputs] and bias of a linear layer."""

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float32, Int64
 from numpy import ndarray
 
-from ggavatar.compiled import inlined, kernel, run
-from ggavatar.render.memory import load, store, stream
-from ggavatar.render.simd import LANES, maximum, select, splat
-from ggavatar.tiles import add_product
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.matmul_tiles import add_product
+from ggavatar.jit.memory import load, store, stream
+from ggavatar.jit.simd import LANES, maximum, select, splat
+from ggavatar.jit.threads import run
 
 BLOCK = 64
 """Rows that go through all layers together."""

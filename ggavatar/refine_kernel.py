@@ -5,19 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ggavatar.binding_kernel import CHUNK, Floats, Geometry, bare, one_over_length
-from ggavatar.compiled import inlined, kernel, share
-from ggavatar.quaternions import conjugate, product, scaled, through_normalisation
-from ggavatar.render.cpu_shapes import columns_3, columns_4
-from ggavatar.render.memory import (
-    gather_rows,
-    load_rows,
-    pointer,
-    store_columns,
-    store_rows_10,
-    take_ticket,
-    transpose,
-)
-from ggavatar.render.simd import LANES, exp, fma, splat
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import gather_rows, load_rows, pointer, store_columns, store_rows_10, take_ticket, transpose
+from ggavatar.jit.quaternions import conjugate, product, scaled, through_normalisation
+from ggavatar.jit.simd import LANES, exp, fma, splat
+from ggavatar.jit.threads import share
+from ggavatar.jit.vectors import columns_3, columns_4
 
 
 @kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
+from ggavatar.jit.kernels import inlined, kernel
 
 TINY = np.float32(1e-20)
 """Length from which a direction counts as one."""

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float32, Int64, UInt32
 from numpy import ndarray
 
-from ggavatar.compiled import inlined, kernel, run
-from ggavatar.pairs import add_to_pairs, blend_pairs
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.pairs import add_to_pairs, blend_pairs
+from ggavatar.jit.threads import run
 
 PRIME = np.uint32(2654435761)
 CHUNK = 4096

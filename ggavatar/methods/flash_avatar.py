@@ -29,11 +29,11 @@ from torch.nn.functional import normalize
 from ggavatar.batches import spaced
 from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.fast_products import product_type
 from ggavatar.geometry import project, quaternion_multiply
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.hulls import hull_mask
+from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import huber
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm

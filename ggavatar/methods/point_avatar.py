@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
-from ggavatar.fast_products import product_type
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
+from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import l1
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ggavatar.fast_products import in_whole_groups
+from ggavatar.jit.bfloat16 import in_whole_groups
 from ggavatar.points.canonical import SKIP_SCALE, CanonicalConfig, sweep_in_torch
 from ggavatar.points.layers import SHARPNESS, encode, softplus
 

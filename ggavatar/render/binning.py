@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import float_bits, pointer, prefetch
 from ggavatar.render.cpu_projection import DEPTH, RECORD
-from ggavatar.render.memory import float_bits, pointer, prefetch
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from ggavatar.compiled import inlined
+from ggavatar.jit.kernels import inlined
+from ggavatar.jit.simd import absolute, bits_of, exp2, floor, fma, maximum, minimum, negate, ramp, select
 from ggavatar.render.constants import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from ggavatar.render.simd import absolute, bits_of, exp2, floor, fma, maximum, minimum, negate, ramp, select
 
 TILE = 16
 """Pixels along a side of a tile."""

@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 
 from ggavatar.core import Camera, Gaussians, Rendering
 from ggavatar.errors import InputError
-from ggavatar.padding import flat, padded
+from ggavatar.jit.padding import flat, padded
 from ggavatar.render.checks import FIELDS, VIEW_NAMES, check_finite, check_shapes
 from ggavatar.render.cpu_backward import Incoming
 from ggavatar.render.cpu_forward import Canvas

@@ -11,12 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
-from ggavatar.render.binning import bare_bins
-from ggavatar.render.blending import MOST, TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light
-from ggavatar.render.cpu_forward import bare_canvas
-from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
-from ggavatar.render.memory import (
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import (
     lane_sums,
     load,
     load_block_1,
@@ -28,7 +24,11 @@ from ggavatar.render.memory import (
     store_first_12,
     take_ticket,
 )
-from ggavatar.render.simd import fma, negate, select, splat
+from ggavatar.jit.simd import fma, negate, select, splat
+from ggavatar.render.binning import bare_bins
+from ggavatar.render.blending import MOST, TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light
+from ggavatar.render.cpu_forward import bare_canvas
+from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
 
 SUMS, SUMS_READ = 12, 16
 """Floats of a slot (sums over the pixels of a tile, places below), and how many are read at once."""

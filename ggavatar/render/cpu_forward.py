@@ -6,7 +6,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import (
+    column_bits,
+    load,
+    lowest_bit,
+    pointer,
+    prefetch,
+    store,
+    store_block_1,
+    store_block_3,
+    take_ticket,
+)
+from ggavatar.jit.simd import absolute, bits_of, fma, splat
 from ggavatar.render.binning import bare_bins
 from ggavatar.render.blending import (
     TILE,
@@ -18,18 +30,6 @@ from ggavatar.render.blending import (
     touched_blocks,
 )
 from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
-from ggavatar.render.memory import (
-    column_bits,
-    load,
-    lowest_bit,
-    pointer,
-    prefetch,
-    store,
-    store_block_1,
-    store_block_3,
-    take_ticket,
-)
-from ggavatar.render.simd import absolute, bits_of, fma, splat
 
 BATCH = 64
 STATE = 5 * 16

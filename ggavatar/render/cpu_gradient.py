@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import gather_rows, load, load_rows, pointer, store, store_columns, take_ticket, transpose
+from ggavatar.jit.simd import fma, lane_index_below, negate, select, splat, total
+from ggavatar.jit.vectors import columns_3, columns_4, dot
 from ggavatar.render.binning import bare_bins
 from ggavatar.render.cpu_backward import (
     SUM_BLUE,
@@ -35,10 +38,7 @@ from ggavatar.render.cpu_projection import BLUE, CHUNK, GREEN, RECORD, RED, TWO_
 from ggavatar.render.cpu_shapes import (
     CENTER,
     bare_cloud,
-    columns_3,
-    columns_4,
     combine,
-    dot,
     image_axes,
     rotation_columns,
     row,
@@ -46,8 +46,6 @@ from ggavatar.render.cpu_shapes import (
     turned,
     unit_quaternion,
 )
-from ggavatar.render.memory import gather_rows, load, load_rows, pointer, store, store_columns, take_ticket, transpose
-from ggavatar.render.simd import fma, lane_index_below, negate, select, splat, total
 
 POSE = SCRATCH
 """Where in the scratch the pose gradient is summed: rotation row by row, translation, camera centre."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ggavatar.compiled import inlined
+from ggavatar.jit.kernels import inlined
+from ggavatar.jit.memory import gather_rows, load, load_rows, prefetch, scatter_rows, store, stream_rows, transpose
+from ggavatar.jit.simd import fma, maximum, negate, select, splat, sqrt
+from ggavatar.jit.vectors import columns_3, dot
 from ggavatar.render import harmonics
-from ggavatar.render.cpu_shapes import columns_3, dot
-from ggavatar.render.memory import gather_rows, load, load_rows, prefetch, scatter_rows, store, stream_rows, transpose
-from ggavatar.render.simd import fma, maximum, negate, select, splat, sqrt
 
 C0, C1 = np.float32(harmonics.C0), np.float32(harmonics.C1)
 C20, C21, C22 = (np.float32(value) for value in harmonics.C2)

@@ -11,23 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
-from ggavatar.render.constants import MIN_ALPHA, NEAR
-from ggavatar.render.cpu_harmonics import SCRATCH, colors_of, prefetch_colors
-from ggavatar.render.cpu_shapes import (
-    CENTER,
-    bare_cloud,
-    columns_3,
-    columns_4,
-    covariance,
-    image_axes,
-    rotation_columns,
-    row,
-    to_camera,
-    turned,
-    unit_quaternion,
-)
-from ggavatar.render.memory import (
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import (
     gather_rows,
     pointer,
     scatter_rows,
@@ -38,7 +23,21 @@ from ggavatar.render.memory import (
     take_ticket,
     transpose,
 )
-from ggavatar.render.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
+from ggavatar.jit.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
+from ggavatar.jit.vectors import columns_3, columns_4
+from ggavatar.render.constants import MIN_ALPHA, NEAR
+from ggavatar.render.cpu_harmonics import SCRATCH, colors_of, prefetch_colors
+from ggavatar.render.cpu_shapes import (
+    CENTER,
+    bare_cloud,
+    covariance,
+    image_axes,
+    rotation_columns,
+    row,
+    to_camera,
+    turned,
+    unit_quaternion,
+)
 
 # A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px,
 # log2 of the opacity, colour, camera z, steps to the nearest point of the ellipse along y per dx and along x per

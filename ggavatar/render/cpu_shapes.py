@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined
+from ggavatar.jit.kernels import inlined
+from ggavatar.jit.memory import pointer
+from ggavatar.jit.simd import absolute, fma, maximum, minimum, negate, sqrt
+from ggavatar.jit.vectors import dot
 from ggavatar.render.constants import LOW_PASS, TINY_NORM
-from ggavatar.render.memory import gather_rows, load_columns_3, load_columns_4, pointer
-from ggavatar.render.simd import absolute, fma, maximum, minimum, negate, sqrt
 
 # Places in the float32 array that describes a view.
 ROTATION, TRANSLATION, FOCAL, PRINCIPAL, LIMITS, CENTER, SIZE, TILES, BACKGROUND, VIEW_LENGTH = (
@@ -52,33 +53,6 @@ def bare_cloud(cloud):
     means, quats, scales = pointer(cloud.means, 0), pointer(cloud.quats, 0), pointer(cloud.scales, 0)
     opacities, colors = pointer(cloud.opacities, 0), pointer(cloud.colors, 0)
     return Cloud(means, quats, scales, opacities, colors, cloud.rows, cloud.coefficients, cloud.degree)
-
-
-@inlined
-def columns_3(array, first, last):
-    """Three columns of sixteen rows; rows beyond `last` repeat it."""
-    if first + 15 <= last:
-        return load_columns_3(array, first * 3)
-    return (
-        gather_rows(array, first, last, 3, 0),
-        gather_rows(array, first, last, 3, 1),
-        gather_rows(array, first, last, 3, 2),
-    )
-
-
-@inlined
-def columns_4(array, first, last):
-    """Four columns of sixteen rows; rows beyond `last` repeat it."""
-    if first + 15 <= last:
-        return load_columns_4(array, first * 4)
-    a, b = gather_rows(array, first, last, 4, 0), gather_rows(array, first, last, 4, 1)
-    return a, b, gather_rows(array, first, last, 4, 2), gather_rows(array, first, last, 4, 3)
-
-
-@inlined
-def dot(a, b):
-    """Inner product of two triples of vectors."""
-    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
 @inlined

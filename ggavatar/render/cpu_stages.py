@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ggavatar.compiled import run, share, workers
-from ggavatar.padding import flat, memory_of, padded
+from ggavatar.jit.padding import flat, memory_of, padded
+from ggavatar.jit.threads import run, share, workers
 from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
 from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.constants import CLAMP_MARGIN

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import pointer, take_ticket
 from ggavatar.render.binning import bare_bins
 from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, RECORD, RED, X, Y
 from ggavatar.render.disc_values import NEAREST, SHOWN_WEIGHT
-from ggavatar.render.memory import pointer, take_ticket
 
 PIXELS = TILE * TILE
 HALF, ONE, ZERO = np.float32(0.5), np.float32(1), np.float32(0)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from ggavatar.compiled import share
+from ggavatar.jit.threads import share
 from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
 from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.cpu_projection import RECORD

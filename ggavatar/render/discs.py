@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ggavatar.acceleration import compiled_for
 from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
+from ggavatar.jit.dispatch import compiled_for
 from ggavatar.render import disc_reference
 from ggavatar.render.checks import camera_tensors, check_finite, check_shapes
 from ggavatar.render.disc_values import DiscRendering, Discs, project_discs, radius_in_pixels

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.compiled import kernel
+from ggavatar.jit.kernels import kernel
 from preprocess.subject.shading import Lights, Shadow, shadowed
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.compiled import kernel
+from ggavatar.jit.kernels import kernel
 
 NOTHING = -1
 _NEAR = 0.05

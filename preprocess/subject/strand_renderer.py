@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.compiled import inlined, kernel
+from ggavatar.jit.kernels import inlined, kernel
 
 _BEHIND, _NEAR, _TINY = np.float32(0.0015), np.float32(0.05), np.float32(1e-6)
 _ZERO, _HALF, _ONE, _OPAQUE = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(0.004)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from ggavatar import compiled
+from ggavatar.jit import kernels, threads
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,7 @@ def test_every_piece_is_done_once(count: int) -> None:
     def task(index: int) -> None:
         done[index] += 1
 
-    compiled.run(task, count)
+    threads.run(task, count)
     assert (done == 1).all()
 
 
@@ -42,8 +42,8 @@ def test_what_a_task_raises_is_raised(place: str) -> None:
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        compiled.run(task, 50)
-    compiled.run(lambda index: None, 4)
+        threads.run(task, 50)
+    threads.run(lambda index: None, 4)
 
 
 def test_callers_do_not_wait_for_each_other() -> None:
@@ -54,11 +54,11 @@ def test_callers_do_not_wait_for_each_other() -> None:
         entered.set()
         assert release.wait(30)
 
-    first = threading.Thread(target=lambda: compiled.run(slow, 2))
+    first = threading.Thread(target=lambda: threads.run(slow, 2))
     first.start()
     assert entered.wait(30)
     done: list[int] = []
-    compiled.run(done.append, 10)
+    threads.run(done.append, 10)
     assert sorted(done) == list(range(10))
     release.set()
     first.join()
@@ -74,11 +74,11 @@ def test_share_gives_every_worker_a_number_and_every_piece_once() -> None:
             seen.append((int(worker), int(piece) + offset))
 
     torch.set_num_threads(1)
-    compiled.share(kernel, 10, 100)
+    threads.share(kernel, 10, 100)
     assert seen == [(0, 100 + piece) for piece in range(10)]
 
 
 def test_an_announcement_is_made_once(capsys: pytest.CaptureFixture[str]) -> None:
-    compiled.announce("something for this test")
-    compiled.announce("something for this test")
+    kernels.announce("something for this test")
+    kernels.announce("something for this test")
     assert capsys.readouterr().err.count("something for this test") == 1

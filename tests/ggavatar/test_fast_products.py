@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ggavatar import fast_products
+from ggavatar.jit import bfloat16
 
 
 @pytest.mark.parametrize(
@@ -21,15 +21,15 @@ def test_bfloat16_where_there_are_instructions_for_it(
     features: dict[str, bool], expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: features)
-    fast_products._is_made_for_bfloat16.cache_clear()
-    assert fast_products.product_type(torch.device("cpu")) == expected
-    assert fast_products.product_type(torch.device("meta")) == torch.float32
-    fast_products._is_made_for_bfloat16.cache_clear()
+    bfloat16._is_made_for_bfloat16.cache_clear()
+    assert bfloat16.product_type(torch.device("cpu")) == expected
+    assert bfloat16.product_type(torch.device("meta")) == torch.float32
+    bfloat16._is_made_for_bfloat16.cache_clear()
 
 
 def test_whole_groups_hold_the_wanted_rows_first() -> None:
     wanted = torch.tensor([False, True, False, False, True, True, False])
-    assert fast_products.in_whole_groups(wanted, 2).tolist() == [1, 4, 5, 0]
-    assert fast_products.in_whole_groups(wanted, 3).tolist() == [1, 4, 5]
-    assert fast_products.in_whole_groups(wanted, 100).tolist() == [1, 4, 5, 0, 2, 3, 6]
-    assert fast_products.in_whole_groups(wanted & ~wanted, 4).tolist() == []
+    assert bfloat16.in_whole_groups(wanted, 2).tolist() == [1, 4, 5, 0]
+    assert bfloat16.in_whole_groups(wanted, 3).tolist() == [1, 4, 5]
+    assert bfloat16.in_whole_groups(wanted, 100).tolist() == [1, 4, 5, 0, 2, 3, 6]
+    assert bfloat16.in_whole_groups(wanted & ~wanted, 4).tolist() == []

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from ggavatar import kernel_cache
+from ggavatar.jit import kernel_cache
 
 ROOT = Path(__file__).parents[2]
 
@@ -85,7 +85,7 @@ def test_an_edit_of_a_file_changes_every_digest_that_uses_it(tmp_path: Path) -> 
 
 
 PROGRAM = """
-from ggavatar.compiled import kernel
+from ggavatar.jit.kernels import kernel
 
 @kernel
 def double(x):

@@ -22,7 +22,7 @@ from typing import Any
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DIGEST_BYTES = hashlib.sha256().digest_size
 
 

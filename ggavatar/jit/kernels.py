@@ -11,16 +11,13 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
-import torch
 from numba.core.event import Event, Listener, register
 
-from ggavatar.kernel_cache import KernelCache, cache_folder, source_digest
+from ggavatar.jit.kernel_cache import KernelCache, cache_folder, source_digest
 
 CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else cache_folder()
 
@@ -45,60 +42,6 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """A helper of kernels, inlined by LLVM; caching it too would only double the work of the first compilation."""
     return numba.njit(inline="never", forceinline=True, **OPTIONS)(inspect.unwrap(function))
-
-
-_pools: dict[int, ThreadPoolExecutor] = {}
-
-
-def _forget_pools() -> None:
-    """A forked child has none of its parent's threads."""
-    _pools.clear()
-
-
-os.register_at_fork(after_in_child=_forget_pools)
-
-
-def run(task: Callable[[int], None], count: int) -> None:
-    """Call `task(0)` … `task(count - 1)` on the threads torch may use, the caller too; raises what they raise."""
-    threads = min(torch.get_num_threads(), count)
-    if threads <= 1:
-        for index in range(count):
-            task(index)
-        return
-    pool = _pools.get(threads)
-    if pool is None:
-        pool = _pools.setdefault(threads, ThreadPoolExecutor(threads - 1, thread_name_prefix="ggavatar"))
-    numbers = iter(range(count))
-
-    def work() -> None:
-        for index in numbers:
-            task(index)
-
-    helpers: list[Future[None]] = [pool.submit(work) for _ in range(threads - 1)]
-    try:
-        work()
-    finally:
-        # One that has not begun (its thread is busy for another caller) is not waited for: the work is done without it.
-        begun = [helper for helper in helpers if not helper.cancel()]
-        for helper in begun:
-            helper.exception()  # waits, as `wait` would, without an event of its own
-    for helper in begun:
-        helper.result()
-
-
-def workers() -> int:
-    """How many threads `share` uses at most."""
-    return torch.get_num_threads()
-
-
-def share(function: Callable[..., Any], pieces: int, *arguments: Any) -> None:
-    """Let the threads call `function(tickets, *arguments)`, which takes pieces of work by raising `tickets[0]`.
-
-    `tickets[1]` numbers the workers, for scratch memory of their own. This costs one call per thread, where
-    `run` costs one per piece.
-    """
-    tickets = np.zeros(2, np.int64)
-    run(lambda _: function(tickets, *arguments), min(workers(), pieces))
 
 
 _told: set[str] = set()

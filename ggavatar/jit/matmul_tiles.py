@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ggavatar.compiled import inlined, kernel
-from ggavatar.render.memory import load, store
-from ggavatar.render.simd import LANES, fma, splat
+from ggavatar.jit.kernels import inlined, kernel
+from ggavatar.jit.memory import load, store
+from ggavatar.jit.simd import LANES, fma, splat
 
 
 @inlined

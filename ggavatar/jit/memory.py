@@ -1,4 +1,4 @@
-"""Loads, stores, transpositions and bit tricks for the 16-lane vectors of `ggavatar.render.simd`.
+"""Loads, stores, transpositions and bit tricks for the 16-lane vectors of `ggavatar.jit.simd`.
 
 Memory is a contiguous array or a bare pointer; indices count elements and are not checked. Kernels turn their
 arrays into pointers first, because handing an array from function to function counts references.
@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from ggavatar.render.simd import LANES, call, flags, lanes
+from ggavatar.jit.simd import LANES, call, flags, lanes
 
 _F32, _I8, _I16, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(16), ir.IntType(32), ir.IntType(64)
 _VECTOR, _INTS = ir.VectorType(_F32, LANES), ir.VectorType(_I32, LANES)

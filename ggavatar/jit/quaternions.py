@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ggavatar.compiled import inlined
+from ggavatar.jit.kernels import inlined
 
 
 @inlined
