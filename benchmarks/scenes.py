@@ -7,7 +7,7 @@ import math
 import torch
 
 from ggavatar.core import Camera, Gaussians
-from ggavatar.geometry import look_at
+from ggavatar.geometry.transforms import look_at
 
 RADII = (0.075, 0.11, 0.09)
 FIELDS = ("means", "quats", "scales", "opacities", "colors")

@@ -12,7 +12,8 @@ from ggavatar.core import Camera, Drive, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.dssim import DssimTarget
 from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
-from ggavatar.geometry import TriangleFrames, look_at, triangle_frames
+from ggavatar.geometry.transforms import look_at
+from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
 from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser

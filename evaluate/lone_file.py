@@ -14,7 +14,7 @@ from ggavatar.core import Camera, Drive, Gaussians, Rasterizer
 from ggavatar.formats.imported import BoundAvatar, ImportedAvatar, open_gaussians
 from ggavatar.formats.imported_run import WHITE, file_digest
 from ggavatar.formats.source import Source, results_folder
-from ggavatar.geometry import look_at
+from ggavatar.geometry.transforms import look_at
 from ggavatar.render.pick import pick
 
 SIDE, FIELD_OF_VIEW, FILLED, INNER = 512, math.radians(25), 0.8, 0.96

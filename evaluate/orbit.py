@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Camera, Drive
-from ggavatar.geometry import axis_angle_to_matrix, rigid
+from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 
 

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 from evaluate.frame_files import frame_file
 from evaluate.regions import MESH_REGIONS, hair_region, mesh_regions
 from ggavatar.core import Camera, Drive
-from ggavatar.geometry import project
+from ggavatar.geometry.transforms import project
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_grey, write_png

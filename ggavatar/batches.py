@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ggavatar.capture import Capture
 from ggavatar.core import Camera, Drive, Frame
-from ggavatar.geometry import axis_angle_to_matrix, rigid
+from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.schedule import seeded
 

@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.geometry import TriangleFrames, matrix_to_quaternion, quaternion_multiply
+from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_multiply
+from ggavatar.geometry.triangles import TriangleFrames
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import flat, memory_of, padded
 

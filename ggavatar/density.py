@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ggavatar.core import Rendering
-from ggavatar.geometry import quaternion_to_matrix
+from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.rows import Rows
 
 SPLIT_CHILDREN = 2

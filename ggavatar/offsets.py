@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.geometry import quaternion_multiply
+from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 

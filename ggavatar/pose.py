@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Drive
-from ggavatar.geometry import invert_rigid, matrix_to_rotation_6d, rigid
+from ggavatar.geometry.transforms import invert_rigid, matrix_to_rotation_6d, rigid
 from ggavatar.head.model import HeadModel
 
 POSE_FEATURES = 9

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from ggavatar.core import Frame
-from ggavatar.geometry import project
+from ggavatar.geometry.transforms import project
 from ggavatar.head.model import HeadModel
 
 

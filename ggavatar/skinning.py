@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from ggavatar.core import Drive
-from ggavatar.geometry import axis_angle_to_matrix, matrix_to_quaternion, quaternion_multiply
+from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_quaternion, quaternion_multiply
 from ggavatar.head.model import HeadModel
 
 

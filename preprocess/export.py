@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from ggavatar.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.geometry import axis_angle_to_matrix, matrix_to_axis_angle
+from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_axis_angle
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg, write_png

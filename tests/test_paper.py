@@ -15,7 +15,8 @@ from ggavatar.binding import bind
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
-from ggavatar.geometry import matrix_to_quaternion, quaternion_to_matrix, triangle_frames
+from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_to_matrix
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
 from ggavatar.methods.ggavatar import Config, GGAvatar, build, density_control, position_rate

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from ggavatar.core import Gaussians
 from ggavatar.formats.stored import Stored, stored
-from ggavatar.geometry import TriangleFrames, matrix_to_quaternion, quaternion_multiply
+from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_multiply
+from ggavatar.geometry.triangles import TriangleFrames
 from ggavatar.rows import Rows
 
 SMALLEST_TRIANGLE = 1e-9

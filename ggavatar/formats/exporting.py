@@ -18,7 +18,7 @@ from ggavatar.formats.poses import Pose
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
 from ggavatar.formats.stored import Stored, stored
-from ggavatar.geometry import triangle_frames
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.model import HeadModel
 from ggavatar.runs import Run

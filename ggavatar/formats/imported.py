@@ -19,7 +19,7 @@ from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import Stored, activated
-from ggavatar.geometry import triangle_frames
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head
 from ggavatar.head.flame import JOINT_NAMES, is_flame, load_flame
 from ggavatar.head.model import HeadModel

@@ -16,7 +16,7 @@ from ggavatar.batches import head_pose
 from ggavatar.core import Drive
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import read_flame_parameters
-from ggavatar.geometry import invert_rigid
+from ggavatar.geometry.transforms import invert_rigid
 from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.model import HeadModel
 from ggavatar.io.npz import npz_headers, read_npz

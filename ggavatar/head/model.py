@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ggavatar.core import Drive
-from ggavatar.geometry import axis_angle_to_matrix, matrix_to_rotation_6d
+from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_rotation_6d
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Compiled kernels: the compiler and its cache, threads, explicit vectors and the small inlined functions they share."""
+"""Compiled kernels: compiler, cache, threads, explicit vectors and the small inlined functions they share."""

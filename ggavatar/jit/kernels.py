@@ -1,9 +1,4 @@
-"""Just-in-time compiled kernels and the thread pool they run on.
-
-Kernels release the interpreter lock and never start threads of their own: `run` hands them out in fixed chunks.
-Results therefore do not depend on the number of threads, two callers never disturb each other, and a forked child
-simply starts a new pool.
-"""
+"""Just-in-time compilation of kernels, cached on disk."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A baseline of the paper's Table 1; https://arxiv.org/abs/2312.02214 and its public code are the source of every number.
 
-    1. Every texel of the texture layout that a triangle covers carries a Gaussian (`ggavatar.uv_sampling`).
+    1. Every texel of the texture layout that a triangle covers carries a Gaussian (`ggavatar.geometry.uv_sampling`).
     2. A network of its neutral place and the facial parameters gives Δμ, Δr and Δs; the mesh gives the rest.
     3. There is no density control: Huber loss, the mouth weighing 40 times more, and late a perceptual term.
 
@@ -29,10 +29,18 @@ from torch.nn.functional import normalize
 from ggavatar.batches import spaced
 from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.geometry import project, quaternion_multiply
+from ggavatar.geometry.convex_hull import hull_mask
+from ggavatar.geometry.transforms import project, quaternion_multiply
+from ggavatar.geometry.uv_sampling import (
+    SurfaceSamples,
+    ever_facing,
+    face_areas,
+    open_rim,
+    strip_samples,
+    texel_samples,
+)
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
-from ggavatar.hulls import hull_mask
 from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import huber
 from ggavatar.perceptual import CropSampler
@@ -42,7 +50,6 @@ from ggavatar.region_boxes import region_boxes
 from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
 from ggavatar.schedule import scaled, seeded
-from ggavatar.uv_sampling import SurfaceSamples, ever_facing, face_areas, open_rim, strip_samples, texel_samples
 
 ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer."""

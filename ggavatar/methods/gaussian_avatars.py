@@ -24,7 +24,7 @@ from ggavatar.bound_rows import BoundRates, bound_rows
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.density import DensityControl, accumulate
 from ggavatar.finetuning import CorrectionRates, DriveCorrections
-from ggavatar.geometry import TriangleFrames, triangle_frames
+from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
 from ggavatar.perceptual import CropSampler

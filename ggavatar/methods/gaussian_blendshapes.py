@@ -28,9 +28,10 @@ from torch import Tensor, nn
 from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.deformation_transfer import FaceChanges, transferred
 from ggavatar.density import DensityControl, accumulate, statistics
-from ggavatar.geometry import quaternion_multiply
+from ggavatar.geometry.deformation_transfer import FaceChanges, transferred
+from ggavatar.geometry.surface_sampling import spread_points
+from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms
@@ -43,7 +44,6 @@ from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
 from ggavatar.schedule import log_linear, scaled, seeded
 from ggavatar.skinning import FaceMotion, FaceSkin
-from ggavatar.surface_sampling import spread_points
 
 PROPERTIES = (3, 4, 3, 1)
 """Numbers of a position, a quaternion, a scale and an opacity; the harmonics follow."""

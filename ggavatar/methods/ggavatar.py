@@ -25,7 +25,7 @@ from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.density import DensityControl, accumulate
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
-from ggavatar.geometry import TriangleFrames, triangle_frames
+from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms, l1, log_scale_regulariser, position_regulariser

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Drive
-from ggavatar.geometry import axis_angle_to_matrix
+from ggavatar.geometry.transforms import axis_angle_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.points.skinning import Bones
 from ggavatar.pose import HeadPoses

@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive
+from ggavatar.geometry.surface_sampling import spread_points
 from ggavatar.head.model import HeadModel
 from ggavatar.points.canonical import CanonicalNetwork
 from ggavatar.points.deformer import PointDeformer
 from ggavatar.points.head_targets import HeadTargets
-from ggavatar.surface_sampling import spread_points
 
 ROWS = 512
 """Points of a fitting step."""

@@ -15,7 +15,12 @@ import numpy as np
 import torch
 
 from ggavatar.errors import InputError
-from ggavatar.geometry import axis_angle_to_matrix, matrix_to_axis_angle, matrix_to_rotation_6d, rotation_6d_to_matrix
+from ggavatar.geometry.transforms import (
+    axis_angle_to_matrix,
+    matrix_to_axis_angle,
+    matrix_to_rotation_6d,
+    rotation_6d_to_matrix,
+)
 from ggavatar.io.restricted_pickle import read_pickle
 from preprocess.record import ForeignTracking, require_finite, stacked
 

@@ -19,7 +19,7 @@ from ggavatar.formats.bound import unbind
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import stored
-from ggavatar.geometry import triangle_frames
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.io.images import read_rgb
 from ggavatar.render.reference import rasterize
 

@@ -10,7 +10,7 @@ from visual_toys import ToyAvatar, camera, head
 
 from evaluate.novel_views import PITCHES, YAWS, novel_views, views_at
 from evaluate.orbit import head_center, sweep, turned
-from ggavatar.geometry import invert_rigid, project
+from ggavatar.geometry.transforms import invert_rigid, project
 from ggavatar.render.reference import rasterize
 
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ggavatar.batches import Frames
 from ggavatar.capture import Capture, Tracking
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
-from ggavatar.geometry import look_at
+from ggavatar.geometry.transforms import look_at
 from ggavatar.head.model import HeadModel
 from ggavatar.render.reference import rasterize
 from ggavatar.runs import Run, RunConfig

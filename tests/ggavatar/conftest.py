@@ -10,7 +10,8 @@ import torch
 
 from ggavatar.capture import Capture, Tracking
 from ggavatar.core import Camera, Drive, Gaussians
-from ggavatar.geometry import axis_angle_to_matrix, matrix_to_quaternion, rigid, triangle_frames
+from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_quaternion, rigid
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.render.reference import rasterize
 from ggavatar.splits import Split

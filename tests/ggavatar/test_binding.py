@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from ggavatar.binding import bind, bind_in_torch
-from ggavatar.geometry import TriangleFrames, axis_angle_to_matrix, quaternion_to_matrix, triangle_frames
+from ggavatar.geometry.transforms import axis_angle_to_matrix, quaternion_to_matrix
+from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 
 FACES, COUNT = 30, 400
 

@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from ggavatar.deform import COLOUR_ROWS, AdjusterConfig, BasisAdjuster
 from ggavatar.fields import Box, FourierFeatures, HashTriplane, HashTriplaneConfig
-from ggavatar.geometry import quaternion_multiply, quaternion_to_matrix
+from ggavatar.geometry.transforms import quaternion_multiply, quaternion_to_matrix
 from ggavatar.offsets import Offsets, refine, refine_in_torch
 
 CONDITIONS, COUNT = 12, 300

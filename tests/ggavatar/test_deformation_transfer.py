@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggavatar.deformation_transfer import nearest_rotation, transferred
-from ggavatar.geometry import quaternion_to_matrix
+from ggavatar.geometry.deformation_transfer import nearest_rotation, transferred
+from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.head.model import HeadModel
 
 

@@ -8,9 +8,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggavatar.geometry import (
+from ggavatar.geometry.transforms import (
     axis_angle_to_matrix,
-    frames_in_torch,
     invert_rigid,
     look_at,
     matrix_to_axis_angle,
@@ -21,8 +20,8 @@ from ggavatar.geometry import (
     quaternion_to_matrix,
     rigid,
     rotation_6d_to_matrix,
-    triangle_frames,
 )
+from ggavatar.geometry.triangles import frames_in_torch, triangle_frames
 
 COUNT = 500
 

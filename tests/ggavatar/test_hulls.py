@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from ggavatar.hulls import hull_mask
+from ggavatar.geometry.convex_hull import hull_mask
 
 
 def test_a_rectangle_by_hand() -> None:

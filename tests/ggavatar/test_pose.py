@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggavatar.core import Drive
-from ggavatar.geometry import rigid
+from ggavatar.geometry.transforms import rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.pose import POSE_FEATURES, HeadPoses
 

@@ -9,7 +9,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggavatar.core import Drive
-from ggavatar.geometry import axis_angle_to_matrix, quaternion_to_matrix, rigid, triangle_frames
+from ggavatar.geometry.transforms import axis_angle_to_matrix, quaternion_to_matrix, rigid
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.pose import HeadPoses
 from ggavatar.skinning import FaceSkin, blended

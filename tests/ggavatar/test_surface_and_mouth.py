@@ -6,9 +6,9 @@ import dataclasses
 
 import torch
 
+from ggavatar.geometry.surface_sampling import spread_points
 from ggavatar.head.model import HeadModel
 from ggavatar.mouth_interior import MouthCylinder
-from ggavatar.surface_sampling import spread_points
 
 
 def test_points_lie_on_their_face_and_follow_area() -> None:

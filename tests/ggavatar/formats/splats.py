@@ -7,7 +7,7 @@ import torch
 from torch.nn.functional import normalize
 
 from ggavatar.core import Camera, Gaussians
-from ggavatar.geometry import look_at
+from ggavatar.geometry.transforms import look_at
 from ggavatar.render.reference import rasterize
 
 

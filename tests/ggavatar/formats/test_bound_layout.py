@@ -22,7 +22,8 @@ from ggavatar.formats.imported import BoundAvatar, open_gaussians
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import activated, stored
-from ggavatar.geometry import quaternion_to_matrix, triangle_frames
+from ggavatar.geometry.transforms import quaternion_to_matrix
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
 from ggavatar.rows import Column, Rows

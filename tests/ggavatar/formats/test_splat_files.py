@@ -23,7 +23,7 @@ from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
 from ggavatar.formats.stored import TURNED_SIGNS, activated, stored, turned
-from ggavatar.geometry import quaternion_to_matrix
+from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.render.harmonics import sh_basis
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -140,7 +140,7 @@ def test_splat_records(tmp_path: Path) -> None:
 
 
 def turned_back(quats: torch.Tensor, half_turn: torch.Tensor) -> torch.Tensor:
-    from ggavatar.geometry import quaternion_multiply
+    from ggavatar.geometry.transforms import quaternion_multiply
 
     return quaternion_multiply(half_turn.expand_as(quats), quats)
 

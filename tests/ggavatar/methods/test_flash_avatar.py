@@ -16,7 +16,7 @@ from ggavatar.batches import drives_and_cameras
 from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame, Rendering
-from ggavatar.geometry import project, quaternion_to_matrix
+from ggavatar.geometry.transforms import project, quaternion_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
 from ggavatar.losses import huber

@@ -11,7 +11,7 @@ import torch
 from ggavatar.batches import drives_and_cameras
 from ggavatar.capture import Capture
 from ggavatar.core import Drive, Frame, Rendering
-from ggavatar.geometry import triangle_frames
+from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_blendshapes import (
     Config,

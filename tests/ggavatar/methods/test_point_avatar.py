@@ -12,7 +12,7 @@ from ggavatar.batches import drives_and_cameras
 from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame
-from ggavatar.geometry import axis_angle_to_matrix, rigid
+from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.io.json_files import write_json
 from ggavatar.losses import l1

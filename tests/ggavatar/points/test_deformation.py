@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.core import Drive
-from ggavatar.geometry import axis_angle_to_matrix
+from ggavatar.geometry.transforms import axis_angle_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.points.deformer import Motion, PointDeformer
 from ggavatar.points.rowwise import BLOCK, rowwise

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.core import Camera, Gaussians, Rasterizer, Rendering
-from ggavatar.geometry import look_at
+from ggavatar.geometry.transforms import look_at
 
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
 

@@ -13,7 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggavatar.errors import InputError
-from ggavatar.geometry import rotation_6d_to_matrix
+from ggavatar.geometry.transforms import rotation_6d_to_matrix
 from ggavatar.head.files import load_head
 from ggavatar.head.procedural import procedural_names
 from preprocess.subject import cli, room

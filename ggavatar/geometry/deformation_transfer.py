@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ggavatar.geometry import matrix_to_quaternion
+from ggavatar.geometry.transforms import matrix_to_quaternion
 
 POLAR_ITERATIONS = 8
 """Newton steps towards the nearest rotation; each squares the error."""

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ggavatar.core import Camera
-from ggavatar.geometry import project
+from ggavatar.geometry.transforms import project
 
 GOLDEN = 0.6180339887498949
 """Fraction of the golden ratio, whose multiples spread most evenly in [0, 1]."""

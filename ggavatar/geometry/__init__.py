@@ -1,0 +1,1 @@
+"""Rotations, transforms, triangles and surfaces as pure functions."""
