@@ -16,7 +16,7 @@ from ggavatar.capture import Capture
 from ggavatar.core import Camera, Drive, Frame
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
-from ggavatar.schedule import seeded
+from ggavatar.optim.seeding import seeded
 
 AHEAD = 4
 """Frames prepared while the current one is trained on."""

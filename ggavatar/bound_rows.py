@@ -9,7 +9,7 @@ import torch
 from ggavatar.density import statistics
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.rows import Column, Rows
+from ggavatar.optim.parameters import Column, Rows
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ggavatar.core import Rendering
 from ggavatar.geometry.transforms import quaternion_to_matrix
-from ggavatar.rows import Rows
+from ggavatar.optim.parameters import Rows
 
 SPLIT_CHILDREN = 2
 SPLIT_SHRINK = 0.8 * SPLIT_CHILDREN

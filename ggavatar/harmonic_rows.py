@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Gaussians
-from ggavatar.rows import Rows
+from ggavatar.optim.parameters import Rows
 from ggavatar.scene import Scene
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from jaxtyping import Float
 from torch import Tensor
 
+from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
-from ggavatar.schedule import seeded
 
 Box = tuple[float, float, float, float]
 

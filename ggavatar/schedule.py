@@ -8,33 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import torch
-
-PAPER_STEPS = 120_000
-"""Length of the training all constants of the paper refer to (Sec. 3.5)."""
-
-
-def scaled(iteration: int, steps: int, length: int = PAPER_STEPS) -> int:
-    """An iteration constant of a training of `length`, the paper's 120,000 or another's, in a training of `steps`."""
-    return round(iteration * steps / length)
-
-
-def log_linear(step: int, first: float, last: float, steps: int) -> float:
-    """A rate that falls exponentially from `first` at step 0 to `last` at `steps` and stays there (3DGS)."""
-    share = min(max(step / max(steps, 1), 0.0), 1.0)
-    return math.exp((1 - share) * math.log(first) + share * math.log(last))
-
-
-def seeded(seed: int, *stream: int) -> torch.Generator:
-    """A generator that depends on a seed and on what it is for alone (a step, an epoch).
-
-    A resumed training therefore needs no state of it.
-    """
-    mixed = seed & 0xFFFFFFFFFFFFFFFF
-    for number in stream:
-        mixed = (mixed * 6364136223846793005 + number * 1442695040888963407 + 1) & 0xFFFFFFFFFFFFFFFF
-        mixed ^= mixed >> 33
-    return torch.Generator().manual_seed(mixed & 0x7FFFFFFFFFFFFFFF)
+from ggavatar.optim.schedules import PAPER_STEPS
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,10 @@ from ggavatar.head.model import HeadModel
 from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
 from ggavatar.methods.ggavatar import Config, GGAvatar, build, density_control, position_rate
 from ggavatar.offsets import Offsets, refine
+from ggavatar.optim.schedules import PAPER_STEPS
 from ggavatar.render.reference import rasterize
 from ggavatar.scene import Scene
-from ggavatar.schedule import PAPER_STEPS, preset
+from ggavatar.schedule import preset
 
 WHITE = torch.ones(3)
 

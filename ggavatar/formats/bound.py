@@ -12,7 +12,7 @@ from ggavatar.core import Gaussians
 from ggavatar.formats.stored import Stored, stored
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_multiply
 from ggavatar.geometry.triangles import TriangleFrames
-from ggavatar.rows import Rows
+from ggavatar.optim.parameters import Rows
 
 SMALLEST_TRIANGLE = 1e-9
 """m; below this a triangle has no space of its own."""

@@ -43,13 +43,14 @@ from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import huber
+from ggavatar.optim.parameters import Column, Rows
+from ggavatar.optim.schedules import scaled
+from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import POSE_FEATURES, HeadPoses
 from ggavatar.region_boxes import region_boxes
-from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
-from ggavatar.schedule import scaled, seeded
 
 ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer."""

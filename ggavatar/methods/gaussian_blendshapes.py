@@ -36,13 +36,14 @@ from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.model import HeadModel
 from ggavatar.losses import image_terms
 from ggavatar.mouth_interior import MouthCylinder
+from ggavatar.optim.parameters import Column, Rows
+from ggavatar.optim.schedules import log_linear, scaled
+from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.pose import HeadPoses
 from ggavatar.region_boxes import region_boxes
-from ggavatar.rows import Column, Rows
 from ggavatar.scene import Scene
-from ggavatar.schedule import log_linear, scaled, seeded
 from ggavatar.skinning import FaceMotion, FaceSkin
 
 PROPERTIES = (3, 4, 3, 1)

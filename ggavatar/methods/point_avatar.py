@@ -17,9 +17,11 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
-from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import l1
+from ggavatar.optim.schedules import log_linear
+from ggavatar.optim.seeding import seeded
+from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
@@ -36,7 +38,6 @@ from ggavatar.region_boxes import region_boxes
 from ggavatar.render.disc_values import DiscRendering, Discs, similar_scale
 from ggavatar.render.discs import rasterizer as disc_rasterizer
 from ggavatar.scene import Scene
-from ggavatar.schedule import log_linear, seeded
 
 UNIT = 4.0
 """Units of length of points and networks per metre."""

@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from ggavatar.rows import Column, Rows
+from ggavatar.optim.parameters import Column, Rows
 
 SHRINKING = 0.75
 """Factor of the radius for twice as many points (PointAvatar)."""

@@ -19,7 +19,7 @@ from ggavatar.density import (
     split,
     statistics,
 )
-from ggavatar.rows import Column, Rows
+from ggavatar.optim.parameters import Column, Rows
 
 
 def make_rows(faces: list[int], seed: int = 0) -> Rows:

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from ggavatar.core import Drive
-from ggavatar.finetuning import CorrectionRates, DriveCorrections
 from ggavatar.head.model import HeadModel
+from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 
 
 @pytest.fixture

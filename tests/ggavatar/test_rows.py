@@ -7,7 +7,7 @@ import copy
 import pytest
 import torch
 
-from ggavatar.rows import Column, Rows
+from ggavatar.optim.parameters import Column, Rows
 
 
 def make_rows(count: int = 6) -> Rows:

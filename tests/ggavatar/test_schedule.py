@@ -7,7 +7,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ggavatar.schedule import PAPER_STEPS, Training, log_linear, preset, scaled, seeded
+from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
+from ggavatar.optim.seeding import seeded
+from ggavatar.schedule import Training, preset
 from ggavatar.trainer import step_at
 
 

@@ -26,7 +26,7 @@ from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
-from ggavatar.rows import Column, Rows
+from ggavatar.optim.parameters import Column, Rows
 
 sys.path.insert(0, str(Path(__file__).parent))
 from splats import cloud, picture, psnr

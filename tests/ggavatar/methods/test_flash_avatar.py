@@ -30,10 +30,10 @@ from ggavatar.methods.flash_avatar import (
     moved,
     spacing,
 )
+from ggavatar.optim.schedules import scaled
 from ggavatar.progress import Silence
 from ggavatar.runs import RunConfig
 from ggavatar.scene import Scene
-from ggavatar.schedule import scaled
 from ggavatar.session import configure, make_trainer
 from ggavatar.splits import Split
 from ggavatar.trainer import StopSignals
