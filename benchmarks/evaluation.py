@@ -17,7 +17,7 @@ from evaluate.pairing import FramePair, pair_folders
 from evaluate.protocol import named
 from evaluate.score import learned_metrics, score
 from ggavatar.io.images import write_png
-from ggavatar.model_folders import model_folders
+from ggavatar.pretrained.folders import model_folders
 
 PAIRS, SIZE = 200, 512
 QUICK_PAIRS, QUICK_SIZE = 20, 128

@@ -23,7 +23,7 @@ from evaluate.results import METRICS_FILE, Evaluation, read_results, write_resul
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
 from ggavatar.errors import GateError, InputError, run_command
 from ggavatar.formats.source import is_gaussian_file, results_folder
-from ggavatar.model_folders import model_folders
+from ggavatar.pretrained.folders import model_folders
 
 WIDTH = 160
 """Columns of a table that is not printed on a terminal."""

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.weights import NO_WEIGHTS, VARIABLE, first_file, sha256_of
 from ggavatar.errors import InputError
 from ggavatar.face.blendshapes import NAMES
 from ggavatar.face.landmarks import LEFT_EYE_OUTER, RIGHT_EYE_OUTER, LandmarkTracker
+from ggavatar.pretrained.lpips import NO_WEIGHTS, VARIABLE, first_file, sha256_of
 
 BUNDLE = "face_landmarker.task"
 """MediaPipe's face landmarker, which ggavatar-prep uses too: 478 landmarks, and 52 expression scores made of them."""

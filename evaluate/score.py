@@ -107,7 +107,7 @@ def face_metrics(protocol: Protocol, folders: Sequence[Path]) -> FaceMetrics | N
 
 def learned_metrics(protocol: Protocol, folders: Sequence[Path]) -> Perceptual | None:
     """The protocol's learned metrics with weights from model folders; torch is imported only if there are weights."""
-    from evaluate.weights import find_lpips
+    from ggavatar.pretrained.lpips import find_lpips
 
     names = learned_names(protocol)
     reasons = {name: find_lpips(name.removeprefix("lpips_").removesuffix("_unit_range"), folders) for name in names}

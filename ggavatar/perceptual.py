@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d, max_pool2d, relu
 
 from ggavatar.errors import InputError
-from ggavatar.weights import VGG16, VGG16_TO_RELU2_2, load_weights, locate
+from ggavatar.pretrained.vgg import VGG16, VGG16_TO_RELU2_2, load_weights, locate
 
 BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21))
 """Convolutions of VGG16's first four blocks, as torchvision numbers them; the end of each block is compared."""

@@ -57,7 +57,7 @@ def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
         InputError: No such file, or a file that is no such network.
     """
     if wanted in ("auto", "selfie"):
-        from preprocess.models import resolve
+        from ggavatar.pretrained.catalogue import resolve
 
         return SelfieMatting(SelfieNetwork(resolve("selfie_segmentation", models, offline)))
     if wanted == "grabcut":

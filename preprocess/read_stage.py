@@ -81,7 +81,7 @@ def _check_count(options: PrepOptions, count: int) -> None:
 def _face_finder(options: PrepOptions) -> Any:
     """A function that gives the face box (left, top, right, bottom; px) of a frame, or None."""
     from ggavatar.face.detector import FaceDetector
-    from preprocess.models import resolve_all
+    from ggavatar.pretrained.catalogue import resolve_all
 
     detector = FaceDetector(resolve_all("face_landmarker", options.models, options.offline)[0])
 

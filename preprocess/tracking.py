@@ -16,7 +16,7 @@ from ggavatar.face.drawn_face import drawn_face
 from ggavatar.face.landmarks import LandmarkTracker
 from ggavatar.face.networks import FaceFiles
 from ggavatar.head.model import HeadModel
-from preprocess import models
+from ggavatar.pretrained import catalogue
 from preprocess.clip_fit import ClipFit, FoundCamera, find_camera, learn_face, reprojection
 from preprocess.expression_axes import AXES, score
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
@@ -81,7 +81,7 @@ def track(
 
 def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
     """The landmark networks and the average face: the bundle's, or what stands in where it is not to be had."""
-    found = models.resolve_all("face_landmarker", options.models, options.offline)
+    found = catalogue.resolve_all("face_landmarker", options.models, options.offline)
     if len(found) == 1:
         return LandmarkTracker(found[0]), canonical_face(found[0])
     return LandmarkTracker(FaceFiles(*found)), drawn_face()
@@ -221,7 +221,7 @@ def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
     carried = f"no face in {lost} of {len(clip.seen)} frames; their pose is carried over from the neighbours"
     return {
         "tracker": "built-in",
-        "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {models.WHEEL}",
+        "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {catalogue.WHEEL}",
         "focal_px": round(fit.camera.lens.focal, 1),
         "focal_spread": round(fit.focal_spread, 3),
         "distance_m": round(float(np.median(fit.camera.poses.translations[:, 2])), 3),

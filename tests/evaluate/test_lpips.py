@@ -15,9 +15,9 @@ import torch
 from torch import nn
 
 from evaluate.perceptual import SCALE, SHIFT, Lpips, PerceptualMetrics, load_lpips, to_signed
-from evaluate.weights import LpipsFiles, find_lpips
 from ggavatar.errors import InputError
-from ggavatar.model_folders import model_folders
+from ggavatar.pretrained.folders import model_folders
+from ggavatar.pretrained.lpips import LpipsFiles, find_lpips
 
 WIDTHS = {
     "alex": (64, 192, 384, 256, 256),

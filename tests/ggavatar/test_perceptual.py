@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from ggavatar.errors import InputError
 from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss, random_weights
-from ggavatar.weights import VGG16_TO_RELU2_2, load_weights, locate
+from ggavatar.pretrained.vgg import VGG16_TO_RELU2_2, load_weights, locate
 
 
 @pytest.fixture(autouse=True)

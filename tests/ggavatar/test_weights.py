@@ -11,14 +11,8 @@ import pytest
 import torch
 
 from ggavatar.errors import InputError
-from ggavatar.model_folders import model_folders
-from ggavatar.weights import (
-    VGG16,
-    VGG16_TO_RELU2_2,
-    ModelFile,
-    load_weights,
-    locate,
-)
+from ggavatar.pretrained.folders import model_folders
+from ggavatar.pretrained.vgg import VGG16, VGG16_TO_RELU2_2, ModelFile, load_weights, locate
 
 
 @pytest.fixture

