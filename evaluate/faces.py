@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
-from ggavatar.face.blendshapes import NAMES
-from ggavatar.face.landmarks import LEFT_EYE_OUTER, RIGHT_EYE_OUTER, LandmarkTracker
+from ggavatar.landmarks.blendshapes import NAMES
+from ggavatar.landmarks.tracker import LEFT_EYE_OUTER, RIGHT_EYE_OUTER, LandmarkTracker
 from ggavatar.pretrained.lpips import NO_WEIGHTS, VARIABLE, first_file, sha256_of
 
 BUNDLE = "face_landmarker.task"

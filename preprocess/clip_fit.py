@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from ggavatar.face.bundle import CanonicalFace
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.adjustment import Adjusted, ShapePrior, adjust, prior_focal
 from preprocess.expression_axes import AXES, axis_scores, score
 from preprocess.expression_basis import (

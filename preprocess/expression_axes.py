@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.face.blendshapes import NAMES
 from ggavatar.head.procedural import procedural_names
+from ggavatar.landmarks.blendshapes import NAMES
 
 JOINT_SCORES = ("neutral", "jawForward", "jawLeft", "jawOpen", "jawRight", "eyeBlinkLeft", "eyeBlinkRight")
 """Scores that joints and lids stand for; gaze scores (eyeLook…) are left out likewise."""

@@ -15,9 +15,9 @@ from scipy.interpolate import RBFInterpolator
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ggavatar.face.bundle import CanonicalFace
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural_skin import slit_height
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess import face_topology as topology
 
 ROUNDS = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.face.bundle import CanonicalFace
+from ggavatar.landmarks.bundle import CanonicalFace
 
 MESH_POINTS = 468
 """Landmarks on the skin; those after them lie on the irises."""

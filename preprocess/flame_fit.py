@@ -15,10 +15,10 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 
 from ggavatar.errors import InputError
-from ggavatar.face.bundle import CanonicalFace
 from ggavatar.head.flame import IDENTITY_COEFFICIENTS, load_flame
 from ggavatar.head.model import HeadModel
 from ggavatar.io.npz import read_npz
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.clip_fit import JAW_OPENING, OWN_ERROR, Clip, FoundCamera, resting_scores, strided
 from preprocess.expression_axes import score
 from preprocess.expression_basis import JAW_SPREAD, LID_SPREAD, Camera, Expectation, fit_motion

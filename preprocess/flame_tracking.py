@@ -8,8 +8,8 @@ import numpy as np
 
 from ggavatar.capture import Tracking
 from ggavatar.errors import InputError
-from ggavatar.face.bundle import CanonicalFace
 from ggavatar.head.flame import is_flame, load_flame
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.clip_fit import Clip, find_camera
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 from preprocess.flame_fit import FlameFit, fit_flame, read_flame

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
-from ggavatar.face.bundle import CanonicalFace
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.expression_axes import generic_mixture
 from preprocess.face_embedding import Embedding, boundary_loops, embed, skin_faces
 

@@ -80,7 +80,7 @@ def _check_count(options: PrepOptions, count: int) -> None:
 
 def _face_finder(options: PrepOptions) -> Any:
     """A function that gives the face box (left, top, right, bottom; px) of a frame, or None."""
-    from ggavatar.face.detector import FaceDetector
+    from ggavatar.landmarks.detector import FaceDetector
     from ggavatar.pretrained.catalogue import resolve_all
 
     detector = FaceDetector(resolve_all("face_landmarker", options.models, options.offline)[0])

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
-from ggavatar.face.bundle import CanonicalFace
 from ggavatar.io.ordered_map import in_order
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.adjustment import ShapePrior
 from preprocess.face_topology import LOWER_LIP_MARGIN, UPPER_LIP_MARGIN, lids, rigidity
 from preprocess.rigid import Lens, Poses, pose_slopes, project, projection_slopes, robust_weights, spread_evenly

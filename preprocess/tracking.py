@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ggavatar.capture import Tracking
-from ggavatar.face.bundle import CanonicalFace, canonical_face
-from ggavatar.face.drawn_face import drawn_face
-from ggavatar.face.landmarks import LandmarkTracker
-from ggavatar.face.networks import FaceFiles
 from ggavatar.head.model import HeadModel
+from ggavatar.landmarks.average_face import drawn_face
+from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
+from ggavatar.landmarks.networks import FaceFiles
+from ggavatar.landmarks.tracker import LandmarkTracker
 from ggavatar.pretrained import catalogue
 from preprocess.clip_fit import ClipFit, FoundCamera, find_camera, learn_face, reprojection
 from preprocess.expression_axes import AXES, score

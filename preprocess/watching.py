@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.face.landmarks import LandmarkTracker
 from ggavatar.io.ordered_map import in_order
+from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.clip_fit import Clip
 from preprocess.outline_poses import Edges, reduced_distances
 from preprocess.rigid import nearest_true

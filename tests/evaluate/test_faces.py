@@ -17,8 +17,8 @@ from evaluate.pairing import pair_folders
 from evaluate.protocol import named
 from evaluate.score import score
 from ggavatar.errors import InputError
-from ggavatar.face.blendshapes import NAMES
-from ggavatar.face.landmarks import LandmarkTracker
+from ggavatar.landmarks.blendshapes import NAMES
+from ggavatar.landmarks.tracker import LandmarkTracker
 
 
 def message(number: int, content: bytes) -> bytes:

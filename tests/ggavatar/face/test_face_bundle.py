@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.face.bundle import MEMBERS, canonical_face, load_network, read_member
+from ggavatar.landmarks.bundle import MEMBERS, canonical_face, load_network, read_member
 
 
 def geometry(vertices: int = 468) -> bytes:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggavatar.face.bundle import CanonicalFace, canonical_face
 from ggavatar.head.procedural import procedural_head
+from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
 from preprocess.face_embedding import Embedding
 
 

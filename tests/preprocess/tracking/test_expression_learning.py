@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ggavatar.face.blendshapes import NAMES
 from ggavatar.head.procedural import procedural_names
+from ggavatar.landmarks.blendshapes import NAMES
 from preprocess.expression_axes import AXES, axis_scores, generic_mixture
 from preprocess.expression_basis import (
     PAIRS,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from skimage.data import astronaut
 
-from ggavatar.face.blendshapes import NAMES
-from ggavatar.face.detector import FaceDetector
-from ggavatar.face.landmarks import LandmarkTracker
+from ggavatar.landmarks.blendshapes import NAMES
+from ggavatar.landmarks.detector import FaceDetector
+from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
 
 RIGHT_EYE, LEFT_EYE = np.array([203.4, 101.2]), np.array([247.0, 103.2])

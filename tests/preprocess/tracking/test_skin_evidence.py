@@ -9,8 +9,8 @@ import pytest
 from drawn_skin import freckled
 from scipy.spatial.transform import Rotation
 
-from ggavatar.face.bundle import CanonicalFace
-from ggavatar.face.drawn_face import drawn_face
+from ggavatar.landmarks.average_face import drawn_face
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.face_topology import MESH_POINTS, anchoring, lids, rigidity
 from preprocess.hidden_nods import NoddingLandmarks, hidden_share, nods
 from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks

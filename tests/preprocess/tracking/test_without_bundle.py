@@ -10,9 +10,9 @@ import pytest
 from drawn_skin import freckled
 from scipy.spatial.transform import Rotation
 
-from ggavatar.face.drawn_face import drawn_face
-from ggavatar.face.landmarks import LandmarkTracker
-from ggavatar.face.networks import FaceFiles
+from ggavatar.landmarks.average_face import drawn_face
+from ggavatar.landmarks.networks import FaceFiles
+from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.clip_fit import Clip
 from preprocess.face_topology import LEFT_IRIS, LOWER_LIP_MARGIN, RIGHT_IRIS, UPPER_LIP_MARGIN, anchoring
 from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head

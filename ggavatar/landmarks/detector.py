@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.face.bundle import load_network
+from ggavatar.landmarks.bundle import load_network
 
 INPUT_SIZE = 128
 MINIMUM_SCORE = 0.5

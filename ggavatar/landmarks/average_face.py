@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ggavatar.face.bundle import CanonicalFace
+from ggavatar.landmarks.bundle import CanonicalFace
 
 _TENTH_MILLIMETRES = """
     0,-400,573 0,-199,701 0,-261,609 -49,20,617 0,-134,728 0,-47,695 0,177,559 -411,225,344 0,362,565 0,449,577

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.face.bundle import load_network
-from ggavatar.face.region import Region
+from ggavatar.landmarks.bundle import load_network
+from ggavatar.landmarks.crop_region import Region
 
 SKIN_POINTS = 468
 EYE_MARGIN = 2.3

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.face.bundle import load_network
+from ggavatar.landmarks.bundle import load_network
 
 # MediaPipe, face_blendshapes_graph.cc: the landmarks the network reads, and the names of its outputs.
 _SUBSET = """

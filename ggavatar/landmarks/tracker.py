@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.face.blendshapes import NAMES, BlendshapeNetwork
-from ggavatar.face.detector import FaceDetector
-from ggavatar.face.networks import BundleNetwork, FaceFiles, LandmarkNetwork, SeenFace, SeparateNetworks
-from ggavatar.face.region import FACE_MARGIN, LEFT_EYE_OUTER, RIGHT_EYE_OUTER, Region, face_region
+from ggavatar.landmarks.blendshapes import NAMES, BlendshapeNetwork
+from ggavatar.landmarks.crop_region import FACE_MARGIN, LEFT_EYE_OUTER, RIGHT_EYE_OUTER, Region, face_region
+from ggavatar.landmarks.detector import FaceDetector
+from ggavatar.landmarks.networks import BundleNetwork, FaceFiles, LandmarkNetwork, SeenFace, SeparateNetworks
 
 __all__ = ["LEFT_EYE_OUTER", "RIGHT_EYE_OUTER", "LandmarkTracker", "Landmarks"]
 
@@ -29,7 +29,7 @@ class Landmarks:
         points: Image positions, px (pixel centres at +0.5).
         depth: The network's guess of relative depth in px of the image, smaller is nearer; weak-perspective, so a hint
             only.
-        blendshapes: Scores in [0, 1] in the order of `ggavatar.face.blendshapes.NAMES`; zeros without their network.
+        blendshapes: Scores in [0, 1] in the order of `ggavatar.landmarks.blendshapes.NAMES`; zeros without their network.
         presence: Confidence in [0, 1] that the region shows a face.
     """
 
