@@ -11,7 +11,8 @@ from benchmarks import torch_tiled
 from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
 from benchmarks.scenes import FIELDS, head
 from ggavatar.core import Camera, Gaussians, Rasterizer
-from ggavatar.render import cpu, reference
+from ggavatar.render import reference
+from ggavatar.render.cpu import rasterizer
 
 SCENES = ((10_000, 256), (50_000, 512))
 QUICK_SCENES = ((2_000, 128),)
@@ -45,10 +46,10 @@ def compare(count: int, size: int, rounds: int, wall_threads: int) -> dict[str, 
     gaussians, camera = head(count, size)
     difference = agreement(gaussians, camera)
     candidates = {
-        "cpu": step(cpu.rasterize, gaussians, camera),
+        "cpu": step(rasterizer.rasterize, gaussians, camera),
         "torch_tiled": step(torch_tiled.rasterize, gaussians, camera),
         "reference": step(reference.rasterize, gaussians, camera),
-        "cpu_forward": forward(cpu.rasterize, gaussians, camera),
+        "cpu_forward": forward(rasterizer.rasterize, gaussians, camera),
     }
     with threads(1):
         single = interleaved(candidates, rounds)
@@ -79,7 +80,7 @@ def many(call: Callable[[], object], rounds: int) -> Timing:
 @torch.no_grad()
 def agreement(gaussians: Gaussians, camera: Camera) -> float:
     """Mean absolute difference of our image and the tiled one; a ratio means nothing if they draw different things."""
-    found, expected = cpu.rasterize(gaussians, camera, WHITE), torch_tiled.rasterize(gaussians, camera, WHITE)
+    found, expected = rasterizer.rasterize(gaussians, camera, WHITE), torch_tiled.rasterize(gaussians, camera, WHITE)
     difference = float((found.image - expected.image).abs().mean())
     if difference > 1e-4:
         raise RuntimeError(f"the rasterisers differ by {difference:.1e}: the comparison would be void")
@@ -88,9 +89,9 @@ def agreement(gaussians: Gaussians, camera: Camera) -> float:
 
 def memory(count: int, size: int) -> dict[str, object]:
     """Extra memory of one step, its returned gradients included; the kernels are compiled before."""
-    step(cpu.rasterize, *head(100, 32))()
+    step(rasterizer.rasterize, *head(100, 32))()
     gaussians, camera = head(count, size)
-    extra = peak_extra_megabytes(step(cpu.rasterize, gaussians, camera))
+    extra = peak_extra_megabytes(step(rasterizer.rasterize, gaussians, camera))
     gradients = sum(getattr(gaussians, name).nbytes for name in FIELDS) / 2**20
     return {"gaussians": count, "size": size, "extra_mb": extra, "gradients_mb": round(gradients, 1)}
 

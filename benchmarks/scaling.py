@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.measure import interleaved, threads
 from benchmarks.rasterizer import step
 from benchmarks.scenes import head
-from ggavatar.render import cpu
+from ggavatar.render.cpu import rasterizer
 
 COUNTS = (10_000, 25_000, 50_000, 100_000, 200_000, 400_000)
 SIZES = (128, 256, 512, 1024)
@@ -21,7 +21,7 @@ def cost(count: int, size: int, rounds: int) -> dict[str, float]:
     """CPU time of one step on one thread."""
     gaussians, camera = head(count, size)
     with threads(1):
-        timing = interleaved({"cpu": step(cpu.rasterize, gaussians, camera)}, rounds, warm_up=2)["cpu"]
+        timing = interleaved({"cpu": step(rasterizer.rasterize, gaussians, camera)}, rounds, warm_up=2)["cpu"]
     return {"gaussians": count, "size": size} | timing.as_dict()
 
 

@@ -18,7 +18,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural import procedural_head
 from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
 from ggavatar.offsets import Offsets, refine
-from ggavatar.render import cpu
+from ggavatar.render.cpu import rasterizer
 
 DISTANCE = 1.0
 """Between head and camera, m."""
@@ -75,7 +75,7 @@ class StepScene:
             means, quats, scales = refine(means, quats, scales, self.offsets())
         opacities = self.rows["opacity_logits"].sigmoid()
         gaussians = Gaussians(means, quats, scales, opacities, self.rows["sh"], 3)
-        return cpu.rasterize(gaussians, self.camera, self.background)
+        return rasterizer.rasterize(gaussians, self.camera, self.background)
 
     def objective(self, drawn: Rendering) -> Tensor:
         """The paper's objective without the perceptual term."""

@@ -15,7 +15,7 @@ from ggavatar.formats.imported import BoundAvatar, ImportedAvatar, open_gaussian
 from ggavatar.formats.imported_run import WHITE, file_digest
 from ggavatar.formats.source import Source, results_folder
 from ggavatar.geometry.transforms import look_at
-from ggavatar.render.pick import pick
+from ggavatar.render.backends import pick
 
 SIDE, FIELD_OF_VIEW, FILLED, INNER = 512, math.radians(25), 0.8, 0.96
 """Picture side (px), opening of the camera, share of the picture that is filled, by this share of the Gaussians."""

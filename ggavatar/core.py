@@ -124,7 +124,7 @@ class Rendering:
 
 @runtime_checkable
 class Rasterizer(Protocol):
-    """A differentiable renderer of Gaussians; `ggavatar.render.pick` returns one."""
+    """A differentiable renderer of Gaussians; `ggavatar.render.backends` returns one."""
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, "3"]) -> Rendering:
         """Draw `gaussians` as seen by `camera` on a constant background colour."""

@@ -54,7 +54,7 @@ class Method:
 
     def rasterizer(self, device: str, backend: str) -> Any:
         """What draws its avatars: the method's own renderer if its file has one, else that of the device."""
-        from ggavatar.render.pick import pick  # torch, which names() does without
+        from ggavatar.render.backends import pick  # torch, which names() does without
 
         return getattr(self.module, "rasterizer", pick)(device, backend)
 

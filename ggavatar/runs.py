@@ -112,7 +112,7 @@ def open_run(
         folder: The run.
         device: Where to draw.
         step: Which checkpoint; None is the newest complete one.
-        backend: The rasteriser, as in `ggavatar.render.pick`.
+        backend: The rasteriser, as in `ggavatar.render.backends`.
         capture: Where the capture lies now, if it was moved.
 
     Raises:

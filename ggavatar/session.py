@@ -20,6 +20,7 @@ from ggavatar.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
 from ggavatar.progress import Line, Listener, Silence, peak_memory_mib
+from ggavatar.render.backends import choose_device
 from ggavatar.runs import (
     RunConfig,
     assemble,
@@ -132,19 +133,6 @@ def make_trainer(
     return Trainer(
         avatar, reader, split, rasterize, scene.background, config.training, config.seed, output, listener or Silence()
     )  # fmt: skip
-
-
-def choose_device(name: str) -> str:
-    """A device by name; `auto` is CUDA where there is one, else the CPU."""
-    if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    try:
-        kind = torch.device(name).type
-    except RuntimeError as error:
-        raise InputError(f"--device: expected auto, cpu, cuda or cuda:N, found {name!r}") from error
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"--device {name}: torch sees no CUDA device here; use cpu or auto")
-    return name
 
 
 def parse_background(text: str) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.imported import BoundAvatar, open_gaussians
 from ggavatar.formats.source import Source, results_folder
 from ggavatar.head.files import load_head
-from ggavatar.render.pick import pick
+from ggavatar.render.backends import pick
 from ggavatar.runs import Run, RunConfig, choose_split
 
 WHITE = (1.0, 1.0, 1.0)

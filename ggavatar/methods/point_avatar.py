@@ -35,8 +35,8 @@ from ggavatar.points.shading import ShadingNetwork, shaded
 from ggavatar.points.skinning import deform, deformed_normals
 from ggavatar.pose import HeadPoses
 from ggavatar.region_boxes import region_boxes
-from ggavatar.render.disc_values import DiscRendering, Discs, similar_scale
-from ggavatar.render.discs import rasterizer as disc_rasterizer
+from ggavatar.render.discs.rasterizer import rasterizer as disc_rasterizer
+from ggavatar.render.discs.values import DiscRendering, Discs, similar_scale
 from ggavatar.scene import Scene
 
 UNIT = 4.0

@@ -1,7 +1,7 @@
 """The yardstick: Gaussian rasterisation in plain torch, any dtype, any device, differentiable in everything.
 
 It walks over tiles of the image and blends all Gaussians of a tile at once. Memory grows with pixels × Gaussians per
-tile, so it serves small images; `ggavatar.render.cpu` and `ggavatar.render.gsplat` do the work at size.
+tile, so it serves small images; `ggavatar.render.cpu.rasterizer` and `ggavatar.render.gsplat` do the work at size.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from ggavatar.losses import l1
 from ggavatar.methods.point_avatar import PRESETS, UNIT, Config, PointAvatar, build, cloud_schedule, rasterizer
 from ggavatar.progress import read_journal
 from ggavatar.registry import load
-from ggavatar.render.disc_values import DiscRendering, Discs
+from ggavatar.render.discs.values import DiscRendering, Discs
 from ggavatar.runs import write_config
 from ggavatar.scene import Scene
 from ggavatar.session import configure, make_trainer

@@ -11,8 +11,9 @@ from scenes import FIELDS, gradients, random_camera, random_gaussians, relative_
 
 from ggavatar.core import Gaussians
 from ggavatar.errors import InputError
-from ggavatar.render import cpu, reference
+from ggavatar.render import reference
 from ggavatar.render.batch import rasterize_batch
+from ggavatar.render.cpu import rasterizer
 
 WHITE = torch.ones(3)
 
@@ -27,7 +28,7 @@ def test_rendering_and_gradients_equal_float64_autograd(coefficients: int, degre
     cloud = random_gaussians(130, coefficients, torch.float64, seed=coefficients, size=size, degree=degree, spread=0.4)
     cloud = dataclasses.replace(cloud, opacities=torch.where(torch.arange(130) % 5 == 0, 0.999, cloud.opacities))
     expected, slow = gradients(reference.rasterize, cloud, camera, torch.float64)
-    found, fast = gradients(cpu.rasterize, cloud, camera)
+    found, fast = gradients(rasterizer.rasterize, cloud, camera)
     assert (expected.radii > 0).sum() > 30
     for name in ("image", "alpha", "depth", "means2d", "radii"):
         torch.testing.assert_close(getattr(found, name).double(), getattr(expected, name), atol=3e-5, rtol=2e-5)
@@ -52,7 +53,7 @@ def test_scenes_reach_the_special_cases() -> None:
 def test_any_image_size(size: tuple[int, int]) -> None:
     camera, cloud = random_camera(*size, torch.float64, focal=40.0), random_gaussians(40, 4, torch.float64, size=0.3)
     expected, slow = gradients(reference.rasterize, cloud, camera, torch.float64)
-    found, fast = gradients(cpu.rasterize, cloud, camera)
+    found, fast = gradients(rasterizer.rasterize, cloud, camera)
     torch.testing.assert_close(found.image.double(), expected.image, atol=3e-5, rtol=1e-5)
     assert found.image.shape == (size[1], size[0], 3) and found.image.is_contiguous()
     for name, value in slow.items():
@@ -63,7 +64,7 @@ def test_any_image_size(size: tuple[int, int]) -> None:
 def test_any_number_of_gaussians(count: int) -> None:
     camera, cloud = random_camera(20, 20, torch.float64), random_gaussians(count, 16, torch.float64)
     expected, slow = gradients(reference.rasterize, cloud, camera, torch.float64)
-    found, fast = gradients(cpu.rasterize, cloud, camera)
+    found, fast = gradients(rasterizer.rasterize, cloud, camera)
     torch.testing.assert_close(found.image.double(), expected.image, atol=1e-5, rtol=1e-5)
     assert found.radii.shape == (count,)
     for name in set(slow) & set(fast):
@@ -72,7 +73,9 @@ def test_any_number_of_gaussians(count: int) -> None:
 
 def draw_variant(cloud: Gaussians, **changes: torch.Tensor) -> dict[str, torch.Tensor]:
     """Gradients and image of a scene with some tensors replaced."""
-    drawn, found = gradients(cpu.rasterize, dataclasses.replace(cloud, **changes), random_camera(48, 40, torch.float32))
+    drawn, found = gradients(
+        rasterizer.rasterize, dataclasses.replace(cloud, **changes), random_camera(48, 40, torch.float32)
+    )
     return found | {"image": drawn.image.detach(), "alpha": drawn.alpha.detach(), "depth": drawn.depth.detach()}
 
 
@@ -122,7 +125,7 @@ def test_needles_keep_their_width_in_float32() -> None:
     cloud = random_gaussians(20, 0, torch.float64)
     cloud = dataclasses.replace(cloud, scales=torch.tensor([30.0, 3e-4, 3e-4], dtype=torch.float64).repeat(20, 1))
     expected, _ = gradients(reference.rasterize, cloud, camera, torch.float64)
-    found, _ = gradients(cpu.rasterize, cloud, camera)
+    found, _ = gradients(rasterizer.rasterize, cloud, camera)
     assert expected.alpha.mean() > 0.05
     assert (found.image - expected.image).abs().mean() < 1e-3
 
@@ -136,7 +139,7 @@ def test_many_gaussians_on_one_pixel() -> None:
         means, torch.ones(count, 4), torch.full((count, 3), 1e-4), torch.full((count,), 0.01), torch.rand(count, 3)
     )
     camera = random_camera(30, 30, torch.float32)
-    drawn, found = gradients(cpu.rasterize, cloud, camera)
+    drawn, found = gradients(rasterizer.rasterize, cloud, camera)
     assert drawn.alpha.max() > 0.999
     assert found["opacities"].isfinite().all()
 
@@ -146,7 +149,7 @@ def test_equal_depths_are_drawn_in_order_of_rows() -> None:
         torch.zeros(2, 3), torch.ones(2, 4), torch.full((2, 3), 0.1), torch.tensor([0.9, 0.9]), torch.eye(3)[:2]
     )
     camera = random_camera(20, 20, torch.float32)
-    image = cpu.rasterize(cloud, camera, torch.zeros(3)).image
+    image = rasterizer.rasterize(cloud, camera, torch.zeros(3)).image
     red, green = image[image.sum(-1) == image.sum(-1).max()][0, :2]
     assert red > 0.85 and 0.05 < green < 0.12
 
@@ -157,28 +160,30 @@ def test_nan_and_infinity_are_refused_by_name(field: str, value: float) -> None:
     cloud = random_gaussians(2100, 4, torch.float32)
     getattr(cloud, field)[2077].view(-1)[0] = value
     with pytest.raises(InputError, match=rf"gaussians\.{field}: .*1 of 2100 rows \(first: 2077\)"):
-        cpu.rasterize(cloud, random_camera(20, 20, torch.float32), WHITE)
+        rasterizer.rasterize(cloud, random_camera(20, 20, torch.float32), WHITE)
 
 
 def test_a_camera_with_nan_and_wrong_shapes_are_refused() -> None:
     cloud, camera = random_gaussians(5, 4, torch.float32), random_camera(20, 20, torch.float32)
     broken = dataclasses.replace(camera, world_to_camera=torch.full((4, 4), math.nan))
     with pytest.raises(InputError, match=r"camera\.world_to_camera: expected finite"):
-        cpu.rasterize(cloud, broken, WHITE)
+        rasterizer.rasterize(cloud, broken, WHITE)
     with pytest.raises(InputError, match="intrinsics"):
-        cpu.rasterize(cloud, dataclasses.replace(camera, intrinsics=camera.intrinsics.clone().requires_grad_()), WHITE)
+        rasterizer.rasterize(
+            cloud, dataclasses.replace(camera, intrinsics=camera.intrinsics.clone().requires_grad_()), WHITE
+        )
     with pytest.raises(ValueError, match="at least 1"):
-        cpu.rasterize(cloud, dataclasses.replace(camera, width=0), WHITE)
+        rasterizer.rasterize(cloud, dataclasses.replace(camera, width=0), WHITE)
 
 
 def test_other_layouts_and_dtypes_are_converted() -> None:
     cloud, camera = random_gaussians(60, 9, torch.float64), random_camera(40, 30, torch.float64)
-    plain = cpu.rasterize(Gaussians(*(getattr(cloud, name).float() for name in FIELDS)), camera, WHITE).image
+    plain = rasterizer.rasterize(Gaussians(*(getattr(cloud, name).float() for name in FIELDS)), camera, WHITE).image
     strided = {name: getattr(cloud, name).repeat_interleave(2, 0)[::2] for name in FIELDS}
     strided["colors"] = cloud.colors.permute(2, 1, 0).contiguous().permute(2, 1, 0)
     leaves = {name: tensor.requires_grad_() for name, tensor in strided.items()}
     assert not leaves["colors"].is_contiguous() and not leaves["means"].is_contiguous()
-    drawn = cpu.rasterize(Gaussians(**leaves), camera, WHITE)
+    drawn = rasterizer.rasterize(Gaussians(**leaves), camera, WHITE)
     drawn.image.sum().backward()
     assert torch.equal(drawn.image, plain)
     for leaf in leaves.values():
@@ -189,20 +194,20 @@ def test_gradients_that_arrive_strided_or_not_at_all() -> None:
     cloud, camera = random_gaussians(60, 4, torch.float32), random_camera(40, 30, torch.float32)
     cloud.means.requires_grad_()
     incoming = torch.randn(3, 30, 40)
-    cpu.rasterize(cloud, camera, WHITE).image.backward(incoming.permute(1, 2, 0))
+    rasterizer.rasterize(cloud, camera, WHITE).image.backward(incoming.permute(1, 2, 0))
     first = cloud.means.grad
     cloud.means.grad = None
-    cpu.rasterize(cloud, camera, WHITE).image.backward(incoming.permute(1, 2, 0).contiguous())
+    rasterizer.rasterize(cloud, camera, WHITE).image.backward(incoming.permute(1, 2, 0).contiguous())
     assert first is not None and torch.equal(first, cloud.means.grad)
     cloud.means.grad = None
-    cpu.rasterize(cloud, camera, WHITE).alpha.sum().backward()
+    rasterizer.rasterize(cloud, camera, WHITE).alpha.sum().backward()
     assert cloud.means.grad is not None and cloud.means.grad.abs().sum() > 0
 
 
 def test_no_gradient_is_recorded_without_need() -> None:
     cloud, camera = random_gaussians(20, 4, torch.float32), random_camera(40, 30, torch.float32)
     with torch.no_grad():
-        drawn = cpu.rasterize(cloud, camera, WHITE)
+        drawn = rasterizer.rasterize(cloud, camera, WHITE)
     assert not drawn.image.requires_grad and not drawn.means2d.requires_grad
     assert not drawn.radii.requires_grad
 
@@ -210,8 +215,8 @@ def test_no_gradient_is_recorded_without_need() -> None:
 def test_a_batch_equals_single_drawings() -> None:
     cloud = random_gaussians(60, 4, torch.float32)
     cameras = [random_camera(40, 30, torch.float32), random_camera(24, 50, torch.float32, focal=80.0)]
-    for drawn, camera in zip(rasterize_batch(cpu.rasterize, cloud, cameras, WHITE), cameras, strict=True):
-        single = cpu.rasterize(cloud, camera, WHITE)
+    for drawn, camera in zip(rasterize_batch(rasterizer.rasterize, cloud, cameras, WHITE), cameras, strict=True):
+        single = rasterizer.rasterize(cloud, camera, WHITE)
         assert torch.equal(drawn.image, single.image) and torch.equal(drawn.radii, single.radii)
     with pytest.raises(InputError, match="as many sets"):
-        rasterize_batch(cpu.rasterize, [cloud], cameras, WHITE)
+        rasterize_batch(rasterizer.rasterize, [cloud], cameras, WHITE)

@@ -13,8 +13,9 @@ from torch import Tensor
 from ggavatar import registry
 from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
-from ggavatar.render import cpu, disc_reference, discs
-from ggavatar.render.disc_values import NEAREST, DiscRendering, Discs, radius_in_pixels, similar_scale
+from ggavatar.render.cpu import rasterizer
+from ggavatar.render.discs import rasterizer, reference
+from ggavatar.render.discs.values import NEAREST, DiscRendering, Discs, radius_in_pixels, similar_scale
 
 
 @pytest.fixture(autouse=True)
@@ -61,7 +62,7 @@ def gradients(
     return drawn, {name: leaf.grad.double() for name, leaf in leaves.items() if leaf.grad is not None}
 
 
-@pytest.mark.parametrize("rasterize", [discs.rasterize, disc_reference.rasterize])
+@pytest.mark.parametrize("rasterize", [rasterizer.rasterize, reference.rasterize])
 def test_one_disc_is_a_paraboloid(rasterize: Rasterizer) -> None:
     camera, color = straight_camera(21), torch.tensor([[0.2, 0.4, 0.8]])
     scene = made(torch.tensor([[0.013, -0.021, 1.0]]), color, radius=0.5)
@@ -76,7 +77,7 @@ def test_one_disc_is_a_paraboloid(rasterize: Rasterizer) -> None:
     assert torch.allclose(drawn.depth, alpha, atol=1e-5)
 
 
-@pytest.mark.parametrize("rasterize", [discs.rasterize, disc_reference.rasterize])
+@pytest.mark.parametrize("rasterize", [rasterizer.rasterize, reference.rasterize])
 def test_only_the_ten_nearest_discs_show(rasterize: Rasterizer) -> None:
     """Twelve discs beside a pixel: by hand, the first ten are blended, and the two behind them change nothing."""
     camera, count = straight_camera(3), 12
@@ -96,7 +97,7 @@ def test_a_disc_shows_when_it_comes_first_or_weighs_more_than_a_half() -> None:
     camera = straight_camera(1)
     for offset, expected in ((1.0, False), (1.2, True)):
         beside = torch.tensor([[0.01 * offset * 0.35, 0.0, 1.0], [0.0, 0.0, 1.5]])
-        drawn = discs.rasterize(made(beside, torch.rand(2, 3), radius=1.0), camera, torch.zeros(3))
+        drawn = rasterizer.rasterize(made(beside, torch.rand(2, 3), radius=1.0), camera, torch.zeros(3))
         light = (offset * 0.35 / 0.5) ** 2
         assert bool(drawn.shown[0]) and bool(drawn.shown[1]) == (light > 0.5) == expected
 
@@ -106,7 +107,7 @@ def test_the_reference_has_the_gradients_of_its_values() -> None:
     scene = random_discs(14, 0.6, torch.float64, spread=0.15)
 
     def drawn(means: Tensor, colors: Tensor) -> tuple[Tensor, ...]:
-        picture = disc_reference.rasterize(made(means, colors, 0.6), camera, torch.ones(3, dtype=torch.float64))
+        picture = reference.rasterize(made(means, colors, 0.6), camera, torch.ones(3, dtype=torch.float64))
         return picture.image, picture.alpha, picture.depth
 
     assert torch.autograd.gradcheck(drawn, (scene.means.requires_grad_(), scene.colors.requires_grad_()))
@@ -118,8 +119,8 @@ def test_the_reference_has_the_gradients_of_its_values() -> None:
 )
 def test_kernels_agree_with_the_reference(count: int, radius: float, width: int, height: int, spread: float) -> None:
     camera, scene = random_camera(width, height, torch.float64), random_discs(count, radius, torch.float64, 1, spread)
-    drawn, found = gradients(discs.rasterize, scene, camera, torch.float32)
-    expected, wanted = gradients(disc_reference.rasterize, scene, camera, torch.float64)
+    drawn, found = gradients(rasterizer.rasterize, scene, camera, torch.float32)
+    expected, wanted = gradients(reference.rasterize, scene, camera, torch.float64)
     for name in ("image", "alpha", "depth"):
         assert torch.allclose(getattr(drawn, name).double(), getattr(expected, name), atol=2e-4), name
     assert found.keys() == wanted.keys() == {"means", "colors", "pose", "means2d"}
@@ -133,10 +134,10 @@ def test_kernels_agree_with_the_reference(count: int, radius: float, width: int,
 def test_any_number_of_threads_gives_the_same_bits(threads: int) -> None:
     camera, scene = random_camera(150, 130, torch.float32), random_discs(5000, 0.03, torch.float32)
     torch.set_num_threads(1)
-    expected, wanted = gradients(discs.rasterize, scene, camera, torch.float32)
+    expected, wanted = gradients(rasterizer.rasterize, scene, camera, torch.float32)
     torch.set_num_threads(threads)
     for _ in range(3):
-        drawn, found = gradients(discs.rasterize, scene, camera, torch.float32)
+        drawn, found = gradients(rasterizer.rasterize, scene, camera, torch.float32)
         assert all(torch.equal(getattr(drawn, n), getattr(expected, n)) for n in ("image", "alpha", "depth", "shown"))
         # The pose's gradient is a sum of torch's, whose order is torch's own; no method trains cameras.
         assert all(torch.equal(found[name], wanted[name]) for name in ("means", "colors", "means2d"))
@@ -144,7 +145,9 @@ def test_any_number_of_threads_gives_the_same_bits(threads: int) -> None:
 
 def test_nothing_in_view_gives_the_background() -> None:
     behind = random_discs(5, 0.1, torch.float32).means - torch.tensor([0.0, 0.0, 5.0])
-    drawn = discs.rasterize(made(behind, torch.rand(5, 3), 0.1), straight_camera(20), torch.tensor([0.1, 0.2, 0.3]))
+    drawn = rasterizer.rasterize(
+        made(behind, torch.rand(5, 3), 0.1), straight_camera(20), torch.tensor([0.1, 0.2, 0.3])
+    )
     assert torch.allclose(drawn.image, torch.tensor([0.1, 0.2, 0.3]).expand(20, 20, 3)) and not drawn.shown.any()
 
 
@@ -152,10 +155,10 @@ def test_what_is_refused() -> None:
     camera, scene = straight_camera(8), random_discs(4, 0.1, torch.float32)
     plain = Gaussians(scene.means, scene.quats, scene.scales, scene.opacities, scene.colors)
     with pytest.raises(InputError, match="expected discs"):
-        discs.rasterize(plain, camera, torch.ones(3))
+        rasterizer.rasterize(plain, camera, torch.ones(3))
     broken = dataclasses.replace(scene, colors=scene.colors * float("nan"))
     with pytest.raises(InputError, match=r"gaussians\.colors"):
-        discs.rasterize(broken, camera, torch.ones(3))
+        rasterizer.rasterize(broken, camera, torch.ones(3))
 
 
 def test_the_gaussian_it_resembles_has_the_second_moment_of_a_disc() -> None:
@@ -166,9 +169,9 @@ def test_the_gaussian_it_resembles_has_the_second_moment_of_a_disc() -> None:
 
 
 def test_a_method_may_bring_its_renderer() -> None:
-    assert registry.load("ggavatar").rasterizer("cpu", "auto") is cpu.rasterize
-    assert registry.load("point_avatar").rasterizer("cpu", "auto") is discs.rasterize
+    assert registry.load("ggavatar").rasterizer("cpu", "auto") is rasterizer.rasterize
+    assert registry.load("point_avatar").rasterizer("cpu", "auto") is rasterizer.rasterize
     camera, scene = straight_camera(16), random_discs(30, 0.2, torch.float32)
     moved = dataclasses.replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 1.0]))
     slow = registry.load("point_avatar").rasterizer("cpu", "reference")(moved, camera, torch.ones(3))
-    assert torch.allclose(slow.image, discs.rasterize(moved, camera, torch.ones(3)).image, atol=1e-5)
+    assert torch.allclose(slow.image, rasterizer.rasterize(moved, camera, torch.ones(3)).image, atol=1e-5)

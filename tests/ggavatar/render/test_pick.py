@@ -15,14 +15,15 @@ from torch import Tensor
 
 from ggavatar.core import Camera, Gaussians
 from ggavatar.errors import InputError
-from ggavatar.render import cpu, reference
-from ggavatar.render import pick as picking
-from ggavatar.render.pick import pick
+from ggavatar.render import backends as picking
+from ggavatar.render import reference
+from ggavatar.render.backends import pick
+from ggavatar.render.cpu import rasterizer
 
 
 def test_the_cpu_gets_the_compiled_rasteriser() -> None:
-    assert pick("cpu") is cpu.rasterize
-    assert pick(torch.device("cpu"), "cpu") is cpu.rasterize
+    assert pick("cpu") is rasterizer.rasterize
+    assert pick(torch.device("cpu"), "cpu") is rasterizer.rasterize
     assert pick("cpu", "reference") is reference.rasterize
 
 

@@ -13,7 +13,7 @@ import torch
 from scenes import gradients, random_camera, random_gaussians
 from torch import Tensor
 
-from ggavatar.render import cpu
+from ggavatar.render.cpu import rasterizer
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +26,9 @@ def _threads() -> Iterator[None]:
 def everything(seed: int = 0) -> dict[str, Tensor]:
     """Outputs and gradients of a scene of several chunks and tiles."""
     drawn, found = gradients(
-        cpu.rasterize, random_gaussians(5000, 16, torch.float32, seed=seed), random_camera(150, 130, torch.float32)
+        rasterizer.rasterize,
+        random_gaussians(5000, 16, torch.float32, seed=seed),
+        random_camera(150, 130, torch.float32),
     )
     outputs = {name: getattr(drawn, name).detach() for name in ("image", "alpha", "depth", "radii")}
     return found | outputs | {"positions": drawn.means2d.detach()}

@@ -25,10 +25,10 @@ from ggavatar.jit.memory import (
     take_ticket,
 )
 from ggavatar.jit.simd import fma, negate, select, splat
-from ggavatar.render.binning import bare_bins
-from ggavatar.render.blending import MOST, TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light
-from ggavatar.render.cpu_forward import bare_canvas
-from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
+from ggavatar.render.cpu.binning import bare_bins
+from ggavatar.render.cpu.blending import MOST, TILE, TILES_PER_TICKET, block_pixels, coverage, first_light, pass_light
+from ggavatar.render.cpu.forward import bare_canvas
+from ggavatar.render.cpu.projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
 
 SUMS, SUMS_READ = 12, 16
 """Floats of a slot (sums over the pixels of a tile, places below), and how many are read at once."""

@@ -10,8 +10,7 @@ from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import gather_rows, load, load_rows, pointer, store, store_columns, take_ticket, transpose
 from ggavatar.jit.simd import fma, lane_index_below, negate, select, splat, total
 from ggavatar.jit.vectors import columns_3, columns_4, dot
-from ggavatar.render.binning import bare_bins
-from ggavatar.render.cpu_backward import (
+from ggavatar.render.cpu.backward import (
     SUM_BLUE,
     SUM_DEPTH,
     SUM_GREEN,
@@ -24,7 +23,8 @@ from ggavatar.render.cpu_backward import (
     SUM_WEIGHT,
     SUMS,
 )
-from ggavatar.render.cpu_harmonics import (
+from ggavatar.render.cpu.binning import bare_bins
+from ggavatar.render.cpu.harmonics import (
     SCRATCH,
     direction,
     direction_gradient,
@@ -34,8 +34,7 @@ from ggavatar.render.cpu_harmonics import (
     prefetch_colors,
     store_color_gradient,
 )
-from ggavatar.render.cpu_projection import BLUE, CHUNK, GREEN, RECORD, RED, TWO_LN2, XX, XY, YY, bare_footprints
-from ggavatar.render.cpu_shapes import (
+from ggavatar.render.cpu.layout import (
     CENTER,
     bare_cloud,
     combine,
@@ -46,6 +45,7 @@ from ggavatar.render.cpu_shapes import (
     turned,
     unit_quaternion,
 )
+from ggavatar.render.cpu.projection import BLUE, CHUNK, GREEN, RECORD, RED, TWO_LN2, XX, XY, YY, bare_footprints
 
 POSE = SCRATCH
 """Where in the scratch the pose gradient is summed: rotation row by row, translation, camera centre."""

@@ -13,10 +13,10 @@ import numpy as np
 
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import pointer, take_ticket
-from ggavatar.render.binning import bare_bins
-from ggavatar.render.blending import TILE, TILES_PER_TICKET
-from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, RECORD, RED, X, Y
-from ggavatar.render.disc_values import NEAREST, SHOWN_WEIGHT
+from ggavatar.render.cpu.binning import bare_bins
+from ggavatar.render.cpu.blending import TILE, TILES_PER_TICKET
+from ggavatar.render.cpu.projection import BLUE, DEPTH, GREEN, RECORD, RED, X, Y
+from ggavatar.render.discs.values import NEAREST, SHOWN_WEIGHT
 
 PIXELS = TILE * TILE
 HALF, ONE, ZERO = np.float32(0.5), np.float32(1), np.float32(0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import float_bits, pointer, prefetch
-from ggavatar.render.cpu_projection import DEPTH, RECORD
+from ggavatar.render.cpu.projection import DEPTH, RECORD
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS

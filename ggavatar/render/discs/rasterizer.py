@@ -14,9 +14,9 @@ from torch.autograd.function import once_differentiable
 from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.jit.dispatch import compiled_for
-from ggavatar.render import disc_reference
 from ggavatar.render.checks import camera_tensors, check_finite, check_shapes
-from ggavatar.render.disc_values import DiscRendering, Discs, project_discs, radius_in_pixels
+from ggavatar.render.discs import reference
+from ggavatar.render.discs.values import DiscRendering, Discs, project_discs, radius_in_pixels
 
 
 def rasterizer(device: torch.device | str, backend: str = "auto") -> Rasterizer:
@@ -45,7 +45,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
     """
     discs = _checked(gaussians, camera, background)
     if not compiled_for(discs.means, discs.colors):
-        return disc_reference.rasterize(discs, camera, background)
+        return reference.rasterize(discs, camera, background)
     means2d, depths, radii = project_discs(discs.means, discs.radius, camera)
     if means2d.requires_grad:
         means2d.retain_grad()
@@ -56,7 +56,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
 
 
 def _reference(gaussians: Gaussians, camera: Camera, background: Tensor) -> DiscRendering:
-    return disc_reference.rasterize(_checked(gaussians, camera, background), camera, background)
+    return reference.rasterize(_checked(gaussians, camera, background), camera, background)
 
 
 def _checked(gaussians: Gaussians, camera: Camera, background: Tensor) -> Discs:
@@ -74,7 +74,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, size: tuple[int, int, float], *inputs: Tensor) -> tuple[Tensor, ...]:
-        stages = importlib.import_module("ggavatar.render.disc_stages")
+        stages = importlib.import_module("ggavatar.render.discs.stages")
         width, height, _ = size
         placed = stages.place(size, *inputs)
         drawing, shown = stages.draw(placed)
@@ -89,7 +89,7 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, to_image: Tensor | None, to_alpha: Tensor | None, *_: Any) -> tuple[Tensor | None, ...]:
-        stages = importlib.import_module("ggavatar.render.disc_stages")
+        stages = importlib.import_module("ggavatar.render.discs.stages")
         pixels = ctx.drawing.light.size
         arriving = [
             np.zeros(pixels * channels, np.float32) if gradient is None else gradient.contiguous().view(-1).numpy()

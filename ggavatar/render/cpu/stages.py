@@ -13,15 +13,15 @@ from torch import Tensor
 
 from ggavatar.jit.padding import flat, memory_of, padded
 from ggavatar.jit.threads import run, share, workers
-from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
-from ggavatar.render.blending import TILE, TILES_PER_TICKET
 from ggavatar.render.constants import CLAMP_MARGIN
-from ggavatar.render.cpu_backward import BACKWARD_SCRATCH, SUMS, SUMS_READ, Incoming, differentiate_tiles
-from ggavatar.render.cpu_forward import BATCH, FORWARD_SCRATCH, Canvas, draw_tiles
-from ggavatar.render.cpu_gradient import GRADIENT_SCRATCH, POSE_SUMS, Gradients, differentiate_chunks
-from ggavatar.render.cpu_harmonics import SCRATCH
-from ggavatar.render.cpu_projection import CHECKED, CHUNK, RECORD, Footprints, color_chunks, project_chunks
-from ggavatar.render.cpu_shapes import Cloud
+from ggavatar.render.cpu.backward import BACKWARD_SCRATCH, SUMS, SUMS_READ, Incoming, differentiate_tiles
+from ggavatar.render.cpu.binning import Bins, count_tiles, fill_tiles, sort_by_depth
+from ggavatar.render.cpu.blending import TILE, TILES_PER_TICKET
+from ggavatar.render.cpu.forward import BATCH, FORWARD_SCRATCH, Canvas, draw_tiles
+from ggavatar.render.cpu.gradient import GRADIENT_SCRATCH, POSE_SUMS, Gradients, differentiate_chunks
+from ggavatar.render.cpu.harmonics import SCRATCH
+from ggavatar.render.cpu.layout import Cloud
+from ggavatar.render.cpu.projection import CHECKED, CHUNK, RECORD, Footprints, color_chunks, project_chunks
 
 
 class Lens(NamedTuple):

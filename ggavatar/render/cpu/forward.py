@@ -19,8 +19,8 @@ from ggavatar.jit.memory import (
     take_ticket,
 )
 from ggavatar.jit.simd import absolute, bits_of, fma, splat
-from ggavatar.render.binning import bare_bins
-from ggavatar.render.blending import (
+from ggavatar.render.cpu.binning import bare_bins
+from ggavatar.render.cpu.blending import (
     TILE,
     TILES_PER_TICKET,
     block_pixels,
@@ -29,7 +29,7 @@ from ggavatar.render.blending import (
     pass_light,
     touched_blocks,
 )
-from ggavatar.render.cpu_projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
+from ggavatar.render.cpu.projection import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, XX, XY, YY, X, Y
 
 BATCH = 64
 STATE = 5 * 16

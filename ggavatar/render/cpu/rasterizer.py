@@ -18,10 +18,10 @@ from ggavatar.core import Camera, Gaussians, Rendering
 from ggavatar.errors import InputError
 from ggavatar.jit.padding import flat, padded
 from ggavatar.render.checks import FIELDS, VIEW_NAMES, check_finite, check_shapes
-from ggavatar.render.cpu_backward import Incoming
-from ggavatar.render.cpu_forward import Canvas
-from ggavatar.render.cpu_shapes import Cloud
-from ggavatar.render.cpu_stages import (
+from ggavatar.render.cpu.backward import Incoming
+from ggavatar.render.cpu.forward import Canvas
+from ggavatar.render.cpu.layout import Cloud
+from ggavatar.render.cpu.stages import (
     Lens,
     bin_and_color,
     cropped,

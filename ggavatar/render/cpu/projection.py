@@ -26,8 +26,8 @@ from ggavatar.jit.memory import (
 from ggavatar.jit.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
 from ggavatar.jit.vectors import columns_3, columns_4
 from ggavatar.render.constants import MIN_ALPHA, NEAR
-from ggavatar.render.cpu_harmonics import SCRATCH, colors_of, prefetch_colors
-from ggavatar.render.cpu_shapes import (
+from ggavatar.render.cpu.harmonics import SCRATCH, colors_of, prefetch_colors
+from ggavatar.render.cpu.layout import (
     CENTER,
     bare_cloud,
     covariance,

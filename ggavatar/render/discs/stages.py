@@ -8,10 +8,10 @@ import numpy as np
 from torch import Tensor
 
 from ggavatar.jit.threads import share
-from ggavatar.render.binning import Bins, count_tiles, fill_tiles, sort_by_depth
-from ggavatar.render.blending import TILE, TILES_PER_TICKET
-from ggavatar.render.cpu_projection import RECORD
-from ggavatar.render.disc_kernel import (
+from ggavatar.render.cpu.binning import Bins, count_tiles, fill_tiles, sort_by_depth
+from ggavatar.render.cpu.blending import TILE, TILES_PER_TICKET
+from ggavatar.render.cpu.projection import RECORD
+from ggavatar.render.discs.kernel import (
     SLOT,
     Drawing,
     View,
@@ -21,7 +21,7 @@ from ggavatar.render.disc_kernel import (
     gather_slots,
     place_discs,
 )
-from ggavatar.render.disc_values import NEAREST
+from ggavatar.render.discs.values import NEAREST
 
 
 class Placed(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import importlib.util
 import sys
 
@@ -39,7 +40,7 @@ def _missing(backend: str) -> str:
     """What a backend lacks and how to get it; empty if it can run."""
     if backend == "gsplat" and not importable("gsplat"):
         return "gsplat cannot be imported; pip install ggavatar[cuda]"
-    if backend == "cpu" and not importable("ggavatar.render.cpu"):
+    if backend == "cpu" and not importable("ggavatar.render.cpu.rasterizer"):
         return "numba cannot be imported; pip install numba"
     return ""
 
@@ -71,3 +72,16 @@ def load(backend: str) -> Rasterizer:
     """The function `rasterize` of a backend's module."""
     rasterizer: Rasterizer = importlib.import_module(f"ggavatar.render.{backend}").rasterize
     return rasterizer
+
+
+def choose_device(name: str) -> str:
+    """A device by name; `auto` is CUDA where there is one, else the CPU."""
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        kind = torch.device(name).type
+    except RuntimeError as error:
+        raise InputError(f"--device: expected auto, cpu, cuda or cuda:N, found {name!r}") from error
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"--device {name}: torch sees no CUDA device here; use cpu or auto")
+    return name

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Camera
-from ggavatar.render.disc_values import NEAREST, SHOWN_WEIGHT, DiscRendering, Discs, project_discs, radius_in_pixels
+from ggavatar.render.discs.values import NEAREST, SHOWN_WEIGHT, DiscRendering, Discs, project_discs, radius_in_pixels
 
 ROWS = 8
 """Rows of the image looked at together; memory grows with their pixels times the discs that touch them."""

@@ -1,0 +1,1 @@
+"""Flat discs for PointAvatar: a rasteriser of their own."""
