@@ -12,7 +12,12 @@ import torch
 from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
 
-BACKENDS = ("reference", "cpu", "gsplat")
+BACKENDS = {
+    "reference": "ggavatar.render.reference",
+    "cpu": "ggavatar.render.cpu.rasterizer",
+    "gsplat": "ggavatar.render.gsplat",
+}
+"""Modules by the names of the backends."""
 
 
 def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
@@ -40,7 +45,7 @@ def _missing(backend: str) -> str:
     """What a backend lacks and how to get it; empty if it can run."""
     if backend == "gsplat" and not importable("gsplat"):
         return "gsplat cannot be imported; pip install ggavatar[cuda]"
-    if backend == "cpu" and not importable("ggavatar.render.cpu.rasterizer"):
+    if backend == "cpu" and not importable(BACKENDS["cpu"]):
         return "numba cannot be imported; pip install numba"
     return ""
 
@@ -70,7 +75,7 @@ def importable(module: str) -> bool:
 
 def load(backend: str) -> Rasterizer:
     """The function `rasterize` of a backend's module."""
-    rasterizer: Rasterizer = importlib.import_module(f"ggavatar.render.{backend}").rasterize
+    rasterizer: Rasterizer = importlib.import_module(BACKENDS[backend]).rasterize
     return rasterizer
 
 

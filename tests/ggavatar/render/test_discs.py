@@ -13,7 +13,7 @@ from torch import Tensor
 from ggavatar import registry
 from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
-from ggavatar.render.cpu import rasterizer
+from ggavatar.render.cpu.rasterizer import rasterize as rasterize_gaussians
 from ggavatar.render.discs import rasterizer, reference
 from ggavatar.render.discs.values import NEAREST, DiscRendering, Discs, radius_in_pixels, similar_scale
 
@@ -169,7 +169,7 @@ def test_the_gaussian_it_resembles_has_the_second_moment_of_a_disc() -> None:
 
 
 def test_a_method_may_bring_its_renderer() -> None:
-    assert registry.load("ggavatar").rasterizer("cpu", "auto") is rasterizer.rasterize
+    assert registry.load("ggavatar").rasterizer("cpu", "auto") is rasterize_gaussians
     assert registry.load("point_avatar").rasterizer("cpu", "auto") is rasterizer.rasterize
     camera, scene = straight_camera(16), random_discs(30, 0.2, torch.float32)
     moved = dataclasses.replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 1.0]))
