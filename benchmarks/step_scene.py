@@ -15,7 +15,7 @@ from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry.transforms import look_at
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
 from ggavatar.offsets import Offsets, refine
 from ggavatar.render.cpu import rasterizer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.head.procedural import procedural_names
+from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
 
 JOINT_SCORES = ("neutral", "jawForward", "jawLeft", "jawOpen", "jawRight", "eyeBlinkLeft", "eyeBlinkRight")

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural_skin import slit_height
+from ggavatar.head.procedural.skin import slit_height
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess import face_topology as topology
 

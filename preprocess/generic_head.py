@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_array
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.expression_axes import generic_mixture
 from preprocess.face_embedding import Embedding, boundary_loops, embed, skin_faces

@@ -18,9 +18,9 @@ from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import read_flame_parameters
 from ggavatar.geometry.transforms import invert_rigid
 from ggavatar.head.flame import JOINT_NAMES
+from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.io.npz import npz_headers, read_npz
-from ggavatar.pose import HeadPoses
 from ggavatar.runs import Run
 
 LARGEST = 1e4

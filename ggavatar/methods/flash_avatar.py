@@ -40,7 +40,9 @@ from ggavatar.geometry.uv_sampling import (
     texel_samples,
 )
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
+from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
+from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import huber
 from ggavatar.optim.parameters import Column, Rows
@@ -48,8 +50,6 @@ from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
-from ggavatar.pose import POSE_FEATURES, HeadPoses
-from ggavatar.region_boxes import region_boxes
 from ggavatar.scene import Scene
 
 ITERATIONS = 150_000

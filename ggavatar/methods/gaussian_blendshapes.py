@@ -33,18 +33,18 @@ from ggavatar.geometry.deformation_transfer import FaceChanges, transferred
 from ggavatar.geometry.surface_sampling import spread_points
 from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
+from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
+from ggavatar.head.mouth_interior import MouthCylinder
+from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.triangle_skinning import FaceMotion, FaceSkin
 from ggavatar.losses import image_terms
-from ggavatar.mouth_interior import MouthCylinder
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
-from ggavatar.pose import HeadPoses
-from ggavatar.region_boxes import region_boxes
 from ggavatar.scene import Scene
-from ggavatar.skinning import FaceMotion, FaceSkin
 
 PROPERTIES = (3, 4, 3, 1)
 """Numbers of a position, a quaternion, a scale and an opacity; the harmonics follow."""

@@ -17,6 +17,8 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
+from ggavatar.head.head_pose import HeadPoses
+from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses import l1
 from ggavatar.optim.schedules import log_linear
@@ -33,8 +35,6 @@ from ggavatar.points.point_cloud import CloudSchedule, PointCloud
 from ggavatar.points.rowwise import rowwise
 from ggavatar.points.shading import ShadingNetwork, shaded
 from ggavatar.points.skinning import deform, deformed_normals
-from ggavatar.pose import HeadPoses
-from ggavatar.region_boxes import region_boxes
 from ggavatar.render.discs.rasterizer import rasterizer as disc_rasterizer
 from ggavatar.render.discs.values import DiscRendering, Discs, similar_scale
 from ggavatar.scene import Scene

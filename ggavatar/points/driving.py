@@ -17,9 +17,9 @@ from torch import Tensor
 
 from ggavatar.core import Drive
 from ggavatar.geometry.transforms import axis_angle_to_matrix
+from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.points.skinning import Bones
-from ggavatar.pose import HeadPoses
 
 
 class Pose(NamedTuple):

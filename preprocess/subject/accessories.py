@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural_parts import Part, grid_faces
-from ggavatar.head.procedural_surface import EYE_CENTER, SKULL, cast
+from ggavatar.head.procedural.parts import Part, grid_faces
+from ggavatar.head.procedural.surface import EYE_CENTER, SKULL, cast
 
 _LENS_Z, _TUBE = 0.0560, 0.0013
 

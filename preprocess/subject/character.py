@@ -9,9 +9,9 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head, procedural_names
-from ggavatar.head.procedural_identity import warp_points
-from ggavatar.head.procedural_parts import Part
+from ggavatar.head.procedural.identity import warp_points
+from ggavatar.head.procedural.model import procedural_head, procedural_names
+from ggavatar.head.procedural.parts import Part
 from preprocess.subject.accessories import beanie, glasses_frame, lenses
 from preprocess.subject.fuzz import Fuzz, beard, brows
 from preprocess.subject.hair import Groom, grow, scalp_density, scatter

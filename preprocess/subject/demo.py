@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from ggavatar.head.files import save_head
-from ggavatar.head.procedural import procedural_names
+from ggavatar.head.procedural.model import procedural_names
 from ggavatar.jit.threads import run
 from preprocess.subject import room
 from preprocess.subject.frame_writer import Tracking, disturbed, frame_record, write_frame

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from ggavatar.head.procedural_surface import CHEEKS, JAW, NECK, SKULL, Blob, skin_distance
+from ggavatar.head.procedural.surface import CHEEKS, JAW, NECK, SKULL, Blob, skin_distance
 from preprocess.subject.person import Hair
 from preprocess.subject.skin_paint import scalp_share
 from preprocess.subject.texture_space import noise

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_names
-from ggavatar.head.procedural_expression import lower_share
+from ggavatar.head.procedural.expression import lower_share
+from ggavatar.head.procedural.model import procedural_names
 from preprocess.subject.character import Character
 from preprocess.subject.motion import Motion
 from preprocess.subject.texture_space import step

@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from ggavatar.head.procedural_skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
-from ggavatar.head.procedural_surface import EYE_CENTER, EYE_RADIUS
+from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
+from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS
 from preprocess.subject.person import Person
 from preprocess.subject.texture_space import Texels, bump, noise, step
 

@@ -7,7 +7,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from preprocess.subject import room
 from preprocess.subject.backdrop import backdrop
 from preprocess.subject.character import LENS, MOUTH, Character, build_character

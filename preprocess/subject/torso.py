@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 
-from ggavatar.head.procedural_parts import grid_faces
+from ggavatar.head.procedural.parts import grid_faces
 from preprocess.subject.person import Garment
 from preprocess.subject.texture_space import noise, to_linear
 

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.core import Drive
 from ggavatar.geometry.transforms import rigid
+from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.pose import POSE_FEATURES, HeadPoses
 
 
 def pose(x: float, y: float, z: float, shift: float = 0.0) -> torch.Tensor:

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from ggavatar.core import Drive
 from ggavatar.geometry.transforms import axis_angle_to_matrix, quaternion_to_matrix, rigid
 from ggavatar.geometry.triangles import triangle_frames
+from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.pose import HeadPoses
-from ggavatar.skinning import FaceSkin, blended
+from ggavatar.head.triangle_skinning import FaceSkin, blended
 
 
 @pytest.fixture

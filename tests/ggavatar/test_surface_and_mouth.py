@@ -8,7 +8,7 @@ import torch
 
 from ggavatar.geometry.surface_sampling import spread_points
 from ggavatar.head.model import HeadModel
-from ggavatar.mouth_interior import MouthCylinder
+from ggavatar.head.mouth_interior import MouthCylinder
 
 
 def test_points_lie_on_their_face_and_follow_area() -> None:

@@ -11,7 +11,7 @@ from ggavatar.core import Camera
 from ggavatar.geometry.transforms import look_at
 from ggavatar.geometry.uv_sampling import along_curve, ever_facing, face_areas, open_rim, strip_samples, texel_samples
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 
 SQUARE = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 HALVES = torch.tensor([[0, 1, 2], [0, 2, 3]])

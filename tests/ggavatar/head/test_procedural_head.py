@@ -11,8 +11,8 @@ import torch
 from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import axis_angle_to_matrix
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head, procedural_identity_basis, procedural_names
-from ggavatar.head.procedural_surface import EYE_CENTER, EYE_RADIUS
+from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis, procedural_names
+from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS
 
 
 @pytest.fixture(scope="module")

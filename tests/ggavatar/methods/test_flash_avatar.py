@@ -18,7 +18,7 @@ from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame, Rendering
 from ggavatar.geometry.transforms import project, quaternion_to_matrix
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from ggavatar.losses import huber
 from ggavatar.methods.flash_avatar import (
     FLAME_COVERAGE,

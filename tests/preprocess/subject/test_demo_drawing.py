@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from preprocess.subject.backdrop import backdrop
 from preprocess.subject.hair_motion import lagging_poses, swung
 from preprocess.subject.light import lamps, shadow_map, sky_share

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import rotation_6d_to_matrix
 from ggavatar.head.files import load_head
-from ggavatar.head.procedural import procedural_names
+from ggavatar.head.procedural.model import procedural_names
 from preprocess.subject import cli, room
 from preprocess.subject.demo import Settings, true_tracking, write_demo
 from preprocess.subject.frame_writer import disturbed, frame_record

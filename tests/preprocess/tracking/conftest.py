@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
 from preprocess.face_embedding import Embedding
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ggavatar.head.procedural import procedural_names
+from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
 from preprocess.expression_axes import AXES, axis_scores, generic_mixture
 from preprocess.expression_basis import (

@@ -13,7 +13,7 @@ from ggavatar.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
-from ggavatar.head.procedural import procedural_head, procedural_identity_basis
+from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis
 from preprocess.clip_fit import Clip, FoundCamera
 from preprocess.expression_basis import Camera
 from preprocess.face_model import FaceModel

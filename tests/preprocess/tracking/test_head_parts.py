@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.capture import Tracking
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural import procedural_head
+from ggavatar.head.procedural.model import procedural_head
 from preprocess.face_embedding import boundary_loops, closest_points
 from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
 from preprocess.rigid import Lens, Poses

@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import coo_array
 from scipy.spatial import ConvexHull, cKDTree
 
-from ggavatar.head.procedural_surface import HEAD_CENTER, LOWEST, cast, skin_distance
+from ggavatar.head.procedural.surface import HEAD_CENTER, LOWEST, cast, skin_distance
 
 INNER_CANTHUS, OUTER_CANTHUS = (0.0175, 0.0222), (0.0436, 0.0246)
 UPPER_LID_RISE, LOWER_LID_FALL = 0.0064, 0.0050

@@ -18,14 +18,14 @@ from torch import Tensor
 
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural_expression import expression_basis, expression_names, lower_share
-from ggavatar.head.procedural_identity import identity_basis, identity_names
-from ggavatar.head.procedural_parts import Part, eyeball, left_ear, lid_margin, mouth_bag, strip, teeth, tongue
-from ggavatar.head.procedural_regions import named_regions
-from ggavatar.head.procedural_rig import JOINT_NAMES, PARENTS, eyelid_basis, joint_regressor, skinning_weights
-from ggavatar.head.procedural_skin import Skin, build_skin
-from ggavatar.head.procedural_surface import EYE_CENTER
-from ggavatar.head.procedural_uv import unwrap
+from ggavatar.head.procedural.expression import expression_basis, expression_names, lower_share
+from ggavatar.head.procedural.identity import identity_basis, identity_names
+from ggavatar.head.procedural.parts import Part, eyeball, left_ear, lid_margin, mouth_bag, strip, teeth, tongue
+from ggavatar.head.procedural.regions import named_regions
+from ggavatar.head.procedural.rig import JOINT_NAMES, PARENTS, eyelid_basis, joint_regressor, skinning_weights
+from ggavatar.head.procedural.skin import Skin, build_skin
+from ggavatar.head.procedural.surface import EYE_CENTER
+from ggavatar.head.procedural.uv import unwrap
 
 VERSION = "procedural-1"
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural_surface import EYE_RADIUS
+from ggavatar.head.procedural.surface import EYE_RADIUS
 
 _EYE_AROUND, _EYE_RINGS = 28, 14
 _TOOTH_WIDTHS = (0.0085, 0.0066, 0.0076, 0.0070, 0.0068, 0.0098, 0.0095)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural_skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
+from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
 
 
 def named_regions(

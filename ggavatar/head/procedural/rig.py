@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural_expression import lower_share
-from ggavatar.head.procedural_surface import EYE_CENTER, EYE_RADIUS, LID_THICKNESS
+from ggavatar.head.procedural.expression import lower_share
+from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS, LID_THICKNESS
 
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
 PARENTS = (-1, 0, 1, 1, 1)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.head.procedural_skin import MOUTH_HALF_WIDTH, slit_height
+from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, slit_height
 
 Vector = tuple[float, float, float]
 

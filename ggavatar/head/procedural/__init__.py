@@ -1,0 +1,1 @@
+"""The head that the project makes itself: no licensed data in it."""
