@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from evaluate.motion import Motion
-from ggavatar.batches import head_pose
 from ggavatar.core import Camera, Drive
+from ggavatar.data.frames import head_pose
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 

@@ -16,7 +16,7 @@ Color = tuple[float, float, float]
 
 @runtime_checkable
 class Pictures(Protocol):
-    """The part of `ggavatar.capture.Capture` that holds pictures."""
+    """The part of `ggavatar.data.capture.Capture` that holds pictures."""
 
     def image(self, number: int) -> UInt8[np.ndarray, "H W 3"]:
         """8-bit sRGB of a source frame, background kept."""

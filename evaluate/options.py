@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 import tyro
 
 from evaluate.protocol import PROTOCOLS, Protocol, named
+from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.source import Source
-from ggavatar.splits import split_name
 from ggavatar.version import answer_version
 
 Alias = tyro.conf.arg

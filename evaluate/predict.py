@@ -34,7 +34,7 @@ Progress = Callable[[int, int], None]
 
 @runtime_checkable
 class Poses(Interface):
-    """Drives and cameras by source frame number, as `ggavatar.batches.Frames` has them."""
+    """Drives and cameras by source frame number, as `ggavatar.data.frames.Frames` has them."""
 
     def drive(self, number: int) -> Drive:
         """What moves the head."""

@@ -25,8 +25,8 @@ from evaluate.reenactment_figure import reenactment, telling_rows
 from evaluate.render_views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
 from evaluate.sources import open_file, refuse_file_flags
 from evaluate.video import playback_fps
-from ggavatar.capture import Capture
 from ggavatar.core import Camera, Drive
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.source import is_gaussian_file
 from ggavatar.head.files import load_head

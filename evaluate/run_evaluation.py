@@ -18,13 +18,13 @@ from evaluate.region_masks import write_region_masks
 from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
 from evaluate.sources import open_file, refuse_file_flags
+from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source import is_gaussian_file
 from ggavatar.pretrained.folders import model_folders
 from ggavatar.pretrained.lpips import NO_WEIGHTS
 from ggavatar.runs import Run, open_run, read_config
-from ggavatar.splits import split_name
 
 Progress = Callable[[int, int], None]
 

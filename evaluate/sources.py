@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from evaluate.protocol import GIVEN
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT, open_imported_run
 from ggavatar.formats.source import Source

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Gaussians
+from ggavatar.data.scene import Scene
 from ggavatar.optim.parameters import Rows
-from ggavatar.scene import Scene
 
 
 def color_from_frames(rows: Rows, pose: Callable[[Drive], Gaussians], scene: Scene) -> None:

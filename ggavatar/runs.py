@@ -22,17 +22,17 @@ import torch
 from torch import Tensor
 
 from ggavatar import registry
-from ggavatar.batches import Frames, spaced
-from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.core import Frame, Rasterizer
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import Frames, spaced
+from ggavatar.data.scene import Scene
+from ggavatar.data.splits import Split, split_frames, split_name
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.json_files import write_json
-from ggavatar.scene import Scene
 from ggavatar.schedule import Training
-from ggavatar.splits import Split, split_frames, split_name
 
 SCHEMA, VERSION = "ggavatar-run", 1
 SAMPLES, SAMPLE_SIDE = 16, 256

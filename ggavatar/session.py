@@ -16,7 +16,9 @@ from typing import Any
 import torch
 
 from ggavatar import registry
-from ggavatar.capture import Capture
+from ggavatar.data.background import parse_background
+from ggavatar.data.capture import Capture
+from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
 from ggavatar.progress import Line, Listener, Silence, peak_memory_mib
@@ -32,10 +34,8 @@ from ggavatar.runs import (
     write_config,
 )
 from ggavatar.schedule import preset
-from ggavatar.splits import Split
 from ggavatar.trainer import StopSignals, Trainer
 
-BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 VERSIONED = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
 
 
@@ -133,19 +133,6 @@ def make_trainer(
     return Trainer(
         avatar, reader, split, rasterize, scene.background, config.training, config.seed, output, listener or Silence()
     )  # fmt: skip
-
-
-def parse_background(text: str) -> tuple[float, float, float]:
-    """A colour from `white`, `black` or `R,G,B` in [0, 1]."""
-    if text in BACKGROUNDS:
-        return BACKGROUNDS[text]
-    try:
-        red, green, blue = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(f"--background: expected white, black or R,G,B, found {text!r}") from error
-    if not all(0 <= part <= 1 for part in (red, green, blue)):
-        raise InputError(f"--background: expected three numbers from 0 to 1, found {text!r}")
-    return red, green, blue
 
 
 def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunConfig:

@@ -61,7 +61,7 @@ def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and say what was written."""
     # The fit's matrices are small, and our own threads keep the cores busy: OpenBLAS's would only be in the way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from ggavatar.capture import Capture
+    from ggavatar.data.capture import Capture
     from preprocess.pipeline import run_pipeline
     from preprocess.terminal import Terminal
 

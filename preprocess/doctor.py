@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
 from preprocess import quality

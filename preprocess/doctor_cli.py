@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _examine(options: DoctorOptions) -> int:
     import json
 
-    from ggavatar.capture import Capture
+    from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
     from preprocess.doctor import examine, write_report
     from preprocess.sheet import write_preview

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ggavatar.capture import Capture, Tracking
+from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
 from preprocess.hypotheses import AXES, OTHERS, Hypothesis

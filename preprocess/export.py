@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_axis_angle
 from ggavatar.head.files import load_head

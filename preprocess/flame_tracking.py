@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.flame import is_flame, load_flame
 from ggavatar.landmarks.bundle import CanonicalFace

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from preprocess.rigid import spread_evenly
 
 FRAMES = 9

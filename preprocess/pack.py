@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ggavatar.capture import TRACKING, Capture, Tracking
-from ggavatar.capture_checks import read_tracking
-from ggavatar.splits import split_frames, split_name
+from ggavatar.data.capture import TRACKING, Capture, Tracking
+from ggavatar.data.capture_schema import read_tracking
+from ggavatar.data.splits import split_frames, split_name
 from preprocess.options import PrepOptions
 from preprocess.stage import Job, Stage, file_state
 

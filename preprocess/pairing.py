@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from ggavatar.capture import DESCRIPTION
+from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
 from preprocess import crop_stage, doctor, mask_stage, pack, read_stage, tracking_stage
 from preprocess.options import PrepOptions

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from ggavatar.capture import Tracking
 from ggavatar.core import Drive
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 
 _SUBPIXEL_BITS = 4

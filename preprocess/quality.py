@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from ggavatar.capture import Capture, Tracking
+from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
 from preprocess.posing import posed_vertices, project

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 
 

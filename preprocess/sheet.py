@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg
 from preprocess.posing import posed_vertices, project

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from scipy.sparse import csr_array
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
 from preprocess.generic_head import GenericHead

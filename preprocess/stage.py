@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from ggavatar.capture_checks import RECORDS
+from ggavatar.data.capture_schema import RECORDS
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.json_files import read_json

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
 from preprocess.outline_poses import Edges, reduced_distances

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.landmarks.average_face import drawn_face
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face

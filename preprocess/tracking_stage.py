@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from ggavatar.capture import HEAD, TRACKING, Tracking
+from ggavatar.data.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_grey, read_rgb

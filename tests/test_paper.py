@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from ggavatar import registry
 from ggavatar.binding import bind
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
+from ggavatar.data.scene import Scene
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_to_matrix
@@ -23,7 +24,6 @@ from ggavatar.methods.ggavatar import Config, GGAvatar, build, density_control, 
 from ggavatar.offsets import Offsets, refine
 from ggavatar.optim.schedules import PAPER_STEPS
 from ggavatar.render.reference import rasterize
-from ggavatar.scene import Scene
 from ggavatar.schedule import preset
 
 WHITE = torch.ones(3)

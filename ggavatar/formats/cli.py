@@ -76,7 +76,7 @@ def _export(arguments: Arguments) -> int:
 
 
 def _export_capture(arguments: Arguments) -> list[str]:
-    from ggavatar.capture import Capture
+    from ggavatar.data.capture import Capture
 
     if arguments.frame or arguments.drive or arguments.neutral or arguments.step is not None:
         raise InputError(f"--format {arguments.format} writes a whole capture; leave out --neutral, --frame, --drive")

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.batches import head_pose
 from ggavatar.core import Drive
+from ggavatar.data.frames import head_pose
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_teeth import FLAME_VERTICES, WITH_TEETH_VERTICES
 from ggavatar.head.model import HeadModel

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from ggavatar.binding import bind
-from ggavatar.capture import Capture
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import FILE, FlameParameters, read_flame_parameters
 from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH_FACES, with_teeth

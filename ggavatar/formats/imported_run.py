@@ -7,8 +7,8 @@ from pathlib import Path
 
 import torch
 
-from ggavatar.batches import Frames
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import Frames
 from ggavatar.errors import InputError
 from ggavatar.formats.imported import BoundAvatar, open_gaussians
 from ggavatar.formats.source import Source, results_folder

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
-from ggavatar.batches import head_pose
 from ggavatar.core import Drive
+from ggavatar.data.frames import head_pose
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import read_flame_parameters
 from ggavatar.geometry.transforms import invert_rigid

@@ -26,9 +26,10 @@ from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from ggavatar.batches import spaced
 from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.data.frames import spaced
+from ggavatar.data.scene import Scene
 from ggavatar.geometry.convex_hull import hull_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
 from ggavatar.geometry.uv_sampling import (
@@ -50,7 +51,6 @@ from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
-from ggavatar.scene import Scene
 
 ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer."""

@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from ggavatar.binding import bind
 from ggavatar.bound_rows import BoundRates, bound_rows
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.data.scene import Scene
 from ggavatar.density import DensityControl, accumulate
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
@@ -33,7 +34,6 @@ from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
-from ggavatar.scene import Scene
 
 
 @dataclass(frozen=True)

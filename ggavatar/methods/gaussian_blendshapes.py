@@ -28,6 +28,7 @@ from torch import Tensor, nn
 from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.data.scene import Scene
 from ggavatar.density import DensityControl, accumulate, statistics
 from ggavatar.geometry.deformation_transfer import FaceChanges, transferred
 from ggavatar.geometry.surface_sampling import spread_points
@@ -44,7 +45,6 @@ from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
-from ggavatar.scene import Scene
 
 PROPERTIES = (3, 4, 3, 1)
 """Numbers of a position, a quaternion, a scale and an opacity; the harmonics follow."""

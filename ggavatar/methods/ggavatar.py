@@ -22,6 +22,7 @@ from ggavatar.binding import Placed, bind
 from ggavatar.bound_rows import BoundRates, bound_rows
 from ggavatar.colors import SH_C0
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.data.scene import Scene
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.density import DensityControl, accumulate
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
@@ -36,7 +37,6 @@ from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.perceptual import CropSampler
 from ggavatar.perceptual_term import PerceptualTerm
-from ggavatar.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
+from ggavatar.data.scene import Scene
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.methods import ggavatar
-from ggavatar.scene import Scene
 
 Box = tuple[float, float, float, float]
 

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
+from ggavatar.data.scene import Scene
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import product_type
@@ -37,7 +38,6 @@ from ggavatar.points.shading import ShadingNetwork, shaded
 from ggavatar.points.skinning import deform, deformed_normals
 from ggavatar.render.discs.rasterizer import rasterizer as disc_rasterizer
 from ggavatar.render.discs.values import DiscRendering, Discs, similar_scale
-from ggavatar.scene import Scene
 
 UNIT = 4.0
 """Units of length of points and networks per metre."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggavatar.capture_checks import check_tracking, read_tracking
+from ggavatar.data.capture_schema import check_tracking, read_tracking
 from ggavatar.errors import InputError
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
 from preprocess.record import ForeignTracking, require_finite

@@ -13,8 +13,8 @@ from visual_toys import camera, head, toy_run, write_capture
 
 from evaluate import cli, render_cli
 from evaluate.lone_file import extent, open_alone
-from ggavatar.capture import Capture
 from ggavatar.core import Gaussians
+from ggavatar.data.capture import Capture
 from ggavatar.formats.bound import unbind
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
 from ggavatar.formats.source import Source

@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ggavatar.batches import Frames
-from ggavatar.capture import Capture, Tracking
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
+from ggavatar.data.capture import Capture, Tracking
+from ggavatar.data.frames import Frames
+from ggavatar.data.splits import Split
 from ggavatar.geometry.transforms import look_at
 from ggavatar.head.model import HeadModel
 from ggavatar.render.reference import rasterize
 from ggavatar.runs import Run, RunConfig
-from ggavatar.splits import Split
 
 WIDTH, HEIGHT, COUNT = 32, 24, 6
 JOINTS = ("root", "neck", "jaw", "left_eye", "right_eye")

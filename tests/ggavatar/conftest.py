@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from ggavatar.capture import Capture, Tracking
 from ggavatar.core import Camera, Drive, Gaussians
+from ggavatar.data.capture import Capture, Tracking
+from ggavatar.data.splits import Split
 from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_quaternion, rigid
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.render.reference import rasterize
-from ggavatar.splits import Split
 
 SIZE, FRAMES, EXPRESSIONS = 48, 24, 3
 JOINTS = ("root", "neck", "jaw", "left_eye", "right_eye")

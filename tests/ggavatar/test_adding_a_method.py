@@ -12,7 +12,7 @@ import pytest
 from evaluate.options import Options
 from evaluate.run_evaluation import evaluate_run
 from ggavatar import registry
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.session import train_run
 
 PAGE = Path(__file__).parents[2] / "docs" / "adding-a-method.md"

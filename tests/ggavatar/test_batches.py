@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from ggavatar.batches import Frames, head_pose, random_order, spaced
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import Frames, head_pose, random_order, spaced
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 

@@ -11,12 +11,12 @@ import zipfile
 import numpy as np
 import pytest
 
-from ggavatar.capture import Capture, Tracking
+from ggavatar.data.capture import Capture, Tracking
+from ggavatar.data.splits import Split, split_frames
 from ggavatar.errors import InputError
 from ggavatar.io import images, npz
 from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
-from ggavatar.splits import Split, split_frames
 
 NUMBERS = (3, 4, 7, 9)
 

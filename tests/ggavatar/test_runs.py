@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.runs import choose_split, open_run, read_config
 from ggavatar.session import train_run

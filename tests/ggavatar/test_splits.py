@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ggavatar.data.splits import split_frames, split_name
 from ggavatar.errors import InputError
-from ggavatar.splits import split_frames, split_name
 
 frame_lists = st.lists(st.integers(0, 10_000), min_size=2, max_size=900, unique=True).map(sorted)
 

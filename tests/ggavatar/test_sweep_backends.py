@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from ggavatar import sweep
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweep_backends import (
     Backend,

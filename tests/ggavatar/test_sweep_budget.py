@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ggavatar import sweep
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweep_budget import PILOT_STEPS, Moment, seconds_per_step, steps_within
 

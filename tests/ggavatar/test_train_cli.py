@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from ggavatar import cli, sweep
-from ggavatar.capture import Capture
 from ggavatar.cli import Arguments, options_of
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 
 

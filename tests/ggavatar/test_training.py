@@ -16,8 +16,8 @@ import pytest
 import torch
 
 from ggavatar import registry
-from ggavatar.capture import Capture
 from ggavatar.checkpoint import complete_steps, load_checkpoint
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
 from ggavatar.progress import read_journal

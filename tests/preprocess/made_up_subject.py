@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.files import save_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_png

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_up_subject import as_tracking, ball_head, make_clip
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.formats.capture_formats import capture_formats
 from ggavatar.formats.cli import main as export
 from preprocess import export as exporters

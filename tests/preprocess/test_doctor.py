@@ -12,7 +12,7 @@ import shutil
 import numpy as np
 import pytest
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.images import picture_header, write_png

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_up_subject import as_tracking, ball_head, make_clip, moving_record
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.images import picture_header, read_rgb
 from preprocess import export

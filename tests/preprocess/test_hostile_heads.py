@@ -16,11 +16,11 @@ import torch
 from made_up_subject import as_tracking, ball_head, moving_record
 from test_hostile_inputs import COUNT, ODD_VALUES, survive
 
-from ggavatar.capture import DESCRIPTION, HEAD, TRACKING, Capture
+from ggavatar.data.capture import DESCRIPTION, HEAD, TRACKING, Capture
+from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
-from ggavatar.splits import Split
 from preprocess.flame_fit import EMBEDDING_FILE, read_embedding
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ggavatar"))

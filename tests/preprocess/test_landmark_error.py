@@ -10,7 +10,7 @@ import pytest
 import torch
 from made_up_subject import as_tracking, ball_head, moving_record
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from made_up_subject import draw, make_clip, write_video
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from preprocess.cli import main

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from ggavatar.binding import bind_in_torch
-from ggavatar.capture import Capture
 from ggavatar.core import Gaussians
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.bound import binding_of, nearest_faces, unbind
 from ggavatar.formats.flame_parameters import FlameParameters, read_flame_parameters, write_flame_parameters

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats import exporting
 from ggavatar.formats.cli import main

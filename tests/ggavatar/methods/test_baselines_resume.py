@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint
+from ggavatar.data.capture import Capture
 from ggavatar.session import configure, make_trainer
 from ggavatar.trainer import StopSignals, Trainer
 

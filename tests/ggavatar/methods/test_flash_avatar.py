@@ -12,10 +12,12 @@ import pytest
 import torch
 
 from ggavatar import registry
-from ggavatar.batches import drives_and_cameras
-from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame, Rendering
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import drives_and_cameras
+from ggavatar.data.scene import Scene
+from ggavatar.data.splits import Split
 from ggavatar.geometry.transforms import project, quaternion_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
@@ -33,9 +35,7 @@ from ggavatar.methods.flash_avatar import (
 from ggavatar.optim.schedules import scaled
 from ggavatar.progress import Silence
 from ggavatar.runs import RunConfig
-from ggavatar.scene import Scene
 from ggavatar.session import configure, make_trainer
-from ggavatar.splits import Split
 from ggavatar.trainer import StopSignals
 
 

@@ -10,9 +10,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggavatar import registry
-from ggavatar.batches import drives_and_cameras
-from ggavatar.capture import Capture
 from ggavatar.core import Drive, Frame, Rendering
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import drives_and_cameras
+from ggavatar.data.scene import Scene
 from ggavatar.density import split
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_avatars import (
@@ -24,7 +25,6 @@ from ggavatar.methods.gaussian_avatars import (
     density_control,
     position_rate,
 )
-from ggavatar.scene import Scene
 
 OWN_RATES = {"means": 5e-3, "quats": 1e-3, "log_scales": 0.017, "opacity_logits": 0.05, "sh": 2.5e-3}
 

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 import torch
 
-from ggavatar.batches import drives_and_cameras
-from ggavatar.capture import Capture
 from ggavatar.core import Drive, Frame, Rendering
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import drives_and_cameras
+from ggavatar.data.scene import Scene
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_blendshapes import (
@@ -23,7 +24,6 @@ from ggavatar.methods.gaussian_blendshapes import (
     position_rate,
     strongest,
 )
-from ggavatar.scene import Scene
 
 
 def make(capture: Capture, head: HeadModel, **changes: Any) -> GaussianBlendshapes:

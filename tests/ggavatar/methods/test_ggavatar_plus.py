@@ -7,12 +7,12 @@ import dataclasses
 import pytest
 import torch
 
-from ggavatar.batches import drives_and_cameras
-from ggavatar.capture import Capture
 from ggavatar.core import Frame, Rendering
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import drives_and_cameras
+from ggavatar.data.scene import Scene
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.ggavatar_plus import Config, GGAvatarPlus, build, regions_l1
-from ggavatar.scene import Scene
 
 
 @pytest.fixture

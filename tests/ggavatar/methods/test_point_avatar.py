@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from ggavatar.batches import drives_and_cameras
-from ggavatar.capture import Capture
 from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import drives_and_cameras
+from ggavatar.data.scene import Scene
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.io.json_files import write_json
@@ -21,7 +22,6 @@ from ggavatar.progress import read_journal
 from ggavatar.registry import load
 from ggavatar.render.discs.values import DiscRendering, Discs
 from ggavatar.runs import write_config
-from ggavatar.scene import Scene
 from ggavatar.session import configure, make_trainer
 from ggavatar.trainer import StopSignals, Trainer
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ggavatar.batches import drives_and_cameras
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
+from ggavatar.data.frames import drives_and_cameras
+from ggavatar.data.scene import Scene
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.point_avatar import UNIT, Config, PointAvatar, build
 from ggavatar.points.skinning import deform, deformed_normals
-from ggavatar.scene import Scene
 
 
 def avatar_of(capture: Capture, head: HeadModel, **settings: object) -> PointAvatar:

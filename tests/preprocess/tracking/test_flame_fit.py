@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ggavatar.capture import Capture
+from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame

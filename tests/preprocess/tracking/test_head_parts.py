@@ -10,7 +10,7 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from preprocess.face_embedding import boundary_loops, closest_points

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggavatar.capture import Tracking
+from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from preprocess import face_topology as topology
 from preprocess.expression_axes import AXES

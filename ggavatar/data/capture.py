@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ggavatar.capture_checks import (
+from ggavatar.data.capture_schema import (
     check_head,
     check_pictures,
     check_tracking,
@@ -24,10 +24,10 @@ from ggavatar.capture_checks import (
     with_remedy,
     write_description,
 )
+from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_png
 from ggavatar.io.npz import write_npz
-from ggavatar.splits import Split
 
 DESCRIPTION, TRACKING, HEAD, IMAGES, MASKS = "capture.json", "tracking.npz", "head.npz", "images", "masks"
 

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ggavatar.capture import Capture
 from ggavatar.core import Camera, Drive, Frame
+from ggavatar.data.capture import Capture
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.optim.seeding import seeded
