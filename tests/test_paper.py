@@ -19,7 +19,7 @@ from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_to_matrix
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
-from ggavatar.losses import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.losses.terms import dssim, l1, position_regulariser, scale_regulariser
 from ggavatar.methods.ggavatar import Config, GGAvatar, build, density_control, position_rate
 from ggavatar.offsets import Offsets, refine
 from ggavatar.optim.schedules import PAPER_STEPS
@@ -211,7 +211,7 @@ def test_eq_13_to_16_every_term_with_its_weight() -> None:
 def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from ggavatar import perceptual_term
+    from ggavatar.losses import vgg_term
 
     class Stub(torch.nn.Module):
         name = "stub"
@@ -220,7 +220,7 @@ def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
             assert image.shape == (24, 24, 3)
             return torch.tensor(5.0)
 
-    monkeypatch.setattr(perceptual_term, "perceptual_loss", Stub)
+    monkeypatch.setattr(vgg_term, "perceptual_loss", Stub)
     avatar = build(Config(), small_scene())
     image = torch.rand(24, 24, 3)
     drawn = Rendering(image, image[..., :1], image[..., :1], torch.zeros(8, 2), torch.ones(8))

@@ -45,12 +45,12 @@ from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import product_type
-from ggavatar.losses import huber
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.terms import huber
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded
-from ggavatar.perceptual import CropSampler
-from ggavatar.perceptual_term import PerceptualTerm
 
 ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer."""

@@ -28,12 +28,12 @@ from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
-from ggavatar.losses import image_terms, log_scale_regulariser, position_regulariser
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.terms import image_terms, log_scale_regulariser, position_regulariser
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
-from ggavatar.perceptual import CropSampler
-from ggavatar.perceptual_term import PerceptualTerm
 
 
 @dataclass(frozen=True)

@@ -39,12 +39,12 @@ from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.head.triangle_skinning import FaceMotion, FaceSkin
-from ggavatar.losses import image_terms
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.terms import image_terms
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
-from ggavatar.perceptual import CropSampler
-from ggavatar.perceptual_term import PerceptualTerm
 
 PROPERTIES = (3, 4, 3, 1)
 """Numbers of a position, a quaternion, a scale and an opacity; the harmonics follow."""

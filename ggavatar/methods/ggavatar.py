@@ -31,12 +31,12 @@ from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
-from ggavatar.losses import image_terms, l1, log_scale_regulariser, position_regulariser
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.terms import image_terms, l1, log_scale_regulariser, position_regulariser
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
-from ggavatar.perceptual import CropSampler
-from ggavatar.perceptual_term import PerceptualTerm
 
 
 @dataclass(frozen=True)

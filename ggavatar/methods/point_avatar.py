@@ -21,12 +21,12 @@ from ggavatar.data.scene import Scene
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import product_type
-from ggavatar.losses import l1
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.terms import l1
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import log_linear
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
-from ggavatar.perceptual import CropSampler
-from ggavatar.perceptual_term import PerceptualTerm
 from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
 from ggavatar.points.deformer import Features, PointDeformer
 from ggavatar.points.driving import Driver, Pose, canonical_drive, expression_coefficients

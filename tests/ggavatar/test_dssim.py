@@ -7,7 +7,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from ggavatar.dssim import DssimTarget, dssim, dssim_in_torch, image_terms, image_terms_in_torch
+from ggavatar.losses.dssim import DssimTarget, dssim, dssim_in_torch, image_terms, image_terms_in_torch
 
 SIZES = [(64, 48), (150, 37), (5, 3), (1, 1), (129, 20)]
 """Height and width; smaller than the window, and across the border of a stripe."""

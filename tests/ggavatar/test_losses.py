@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ggavatar.losses import (
+from ggavatar.losses.terms import (
     huber,
     l1,
     log_scale_regulariser,

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from ggavatar.errors import InputError
-from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss, random_weights
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss, random_weights
 from ggavatar.pretrained.vgg import VGG16_TO_RELU2_2, load_weights, locate
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import pytest
 import torch
 
-from ggavatar.perceptual import CropSampler, PerceptualLoss, random_weights
-from ggavatar.perceptual_term import PerceptualTerm
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.vgg import PerceptualLoss, random_weights
+from ggavatar.losses.vgg_term import PerceptualTerm
 
 
 @pytest.fixture
 def network(monkeypatch: pytest.MonkeyPatch) -> PerceptualLoss:
     """Untrained features, in place of whatever weights are at hand."""
     untrained = PerceptualLoss("random-vgg", random_weights(0), blocks=1)
-    monkeypatch.setattr("ggavatar.perceptual_term.perceptual_loss", lambda: untrained)
+    monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", lambda: untrained)
     return untrained
 
 

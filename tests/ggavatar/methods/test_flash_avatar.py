@@ -21,7 +21,7 @@ from ggavatar.data.splits import Split
 from ggavatar.geometry.transforms import project, quaternion_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
-from ggavatar.losses import huber
+from ggavatar.losses.terms import huber
 from ggavatar.methods.flash_avatar import (
     FLAME_COVERAGE,
     ITERATIONS,

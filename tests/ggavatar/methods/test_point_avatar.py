@@ -16,7 +16,7 @@ from ggavatar.data.scene import Scene
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.io.json_files import write_json
-from ggavatar.losses import l1
+from ggavatar.losses.terms import l1
 from ggavatar.methods.point_avatar import PRESETS, UNIT, Config, PointAvatar, build, cloud_schedule, rasterizer
 from ggavatar.progress import read_journal
 from ggavatar.registry import load

@@ -120,7 +120,7 @@ class _CompiledTerms(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: DssimTarget, weights: tuple[float, float]) -> tuple[Tensor, Tensor]:
-        from ggavatar import dssim_kernel
+        from ggavatar.losses import dssim_kernel
 
         wanted, size = ctx.needs_input_grad[0], image.numel()
         gradient = torch.empty(image.shape if wanted else (0, *image.shape[1:]))
@@ -143,7 +143,7 @@ class _CompiledTerms(torch.autograd.Function):
 
 
 def _compiled_target(image: Tensor) -> DssimTarget:
-    from ggavatar import dssim_kernel
+    from ggavatar.losses import dssim_kernel
 
     target = DssimTarget(image, torch.empty_like(image), torch.empty_like(image))
     dssim_kernel.prepare(_matrix(image), _matrix(target.mean), _matrix(target.square_mean))

@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import huber_loss, l1_loss
 
-from ggavatar.dssim import DssimTarget, dssim, image_terms
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
+from ggavatar.losses.dssim import DssimTarget, dssim, image_terms
 
 __all__ = [
     "DssimTarget",
@@ -119,7 +119,7 @@ class _CompiledL1(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor) -> Tensor:
-        from ggavatar import losses_kernel as kernels
+        from ggavatar.losses import terms_kernel as kernels
 
         signs = torch.empty(image.numel() if ctx.needs_input_grad[0] else 0)
         total = kernels.l1_sum(_flat(image), _flat(target), signs.numpy())
@@ -134,11 +134,11 @@ class _CompiledL1(torch.autograd.Function):
 
 
 class _CompiledRegulariser(torch.autograd.Function):
-    """The compiled regularisers; `kind` is the name of a constant of `ggavatar.losses_kernel`."""
+    """The compiled regularisers; `kind` is the name of a constant of `ggavatar.losses.terms_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, visible: Tensor, threshold: float, kind: str) -> Tensor:
-        from ggavatar import losses_kernel as kernels
+        from ggavatar.losses import terms_kernel as kernels
 
         ctx.inputs = getattr(kernels, kind), _flat(rows), _flat(visible), np.float32(threshold)
         total, seen = kernels.regulariser_sum(*ctx.inputs)
@@ -147,7 +147,7 @@ class _CompiledRegulariser(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
-        from ggavatar import losses_kernel as kernels
+        from ggavatar.losses import terms_kernel as kernels
 
         gradient = padded(ctx.inputs[2].size, 3)
         kernels.regulariser_gradient(*ctx.inputs, np.float32(upstream.item() / ctx.count), memory_of(gradient))

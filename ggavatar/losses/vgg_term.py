@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from jaxtyping import Float
 from torch import Tensor
 
+from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss
 from ggavatar.optim.seeding import seeded
-from ggavatar.perceptual import CropSampler, PerceptualLoss, perceptual_loss
 
 Box = tuple[float, float, float, float]
 
