@@ -7,17 +7,17 @@ import dataclasses
 import torch
 from torch import Tensor, nn
 
-from ggavatar.binding import bind
 from ggavatar.core import Camera, Drive, Gaussians, Rendering
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
 from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
+from ggavatar.gaussians.binding import bind
+from ggavatar.gaussians.offsets import Offsets, refine
 from ggavatar.geometry.transforms import look_at
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.losses.dssim import DssimTarget
 from ggavatar.losses.terms import image_terms, log_scale_regulariser, position_regulariser
-from ggavatar.offsets import Offsets, refine
 from ggavatar.render.cpu import rasterizer
 
 DISTANCE = 1.0

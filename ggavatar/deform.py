@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.functional import relu
 
 from ggavatar.fields import Field
-from ggavatar.offsets import Offsets, refine
+from ggavatar.gaussians.offsets import Offsets, refine
 from ggavatar.perceptron import field_perceptron
 
 __all__ = ["COLOUR_ROWS", "GEOMETRY_ROWS", "AdjusterConfig", "BasisAdjuster", "Offsets", "refine"]

@@ -21,7 +21,7 @@ _CHUNK = 4096
 
 
 def unbind(gaussians: Gaussians, faces: Int[Tensor, " N"], frames: TriangleFrames) -> Stored:
-    """World Gaussians in the spaces of their triangles: the inverse of `ggavatar.binding.bind`.
+    """World Gaussians in the spaces of their triangles: the inverse of `ggavatar.gaussians.binding.bind`.
 
     μ0 = Rᵀ(μ − M) / S, r0 = q(R)* ⊗ r and s0 = s / S (GaussianAvatars, Sec. 3.2).
 

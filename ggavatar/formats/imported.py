@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ggavatar.binding import bind
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -19,6 +18,7 @@ from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import Stored, activated
+from ggavatar.gaussians.binding import bind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head
 from ggavatar.head.flame import JOINT_NAMES, is_flame, load_flame

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ggavatar.colors import SH_C0
 from ggavatar.formats.stored import Stored, turned
+from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.io.atomic import write_atomically
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat", "u1", 4)])

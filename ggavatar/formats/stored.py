@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.colors import SH_C0
 from ggavatar.core import Gaussians
+from ggavatar.gaussians.initial_colors import SH_C0
 
 LEAST_OPACITY, LEAST_SCALE = 1e-6, 1e-9
 """What logits and logarithms can still express; anything less is invisible."""

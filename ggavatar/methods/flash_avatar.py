@@ -30,6 +30,7 @@ from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.frames import spaced
 from ggavatar.data.scene import Scene
+from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.convex_hull import hull_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
 from ggavatar.geometry.uv_sampling import (
@@ -40,7 +41,6 @@ from ggavatar.geometry.uv_sampling import (
     strip_samples,
     texel_samples,
 )
-from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes

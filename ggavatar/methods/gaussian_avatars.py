@@ -19,13 +19,13 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from ggavatar.binding import bind
-from ggavatar.bound_rows import BoundRates, bound_rows
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.density import DensityControl, accumulate
+from ggavatar.gaussians.binding import bind
+from ggavatar.gaussians.density_control import DensityControl, accumulate
+from ggavatar.gaussians.initialization import BoundRates, bound_rows
+from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
-from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler

@@ -29,11 +29,11 @@ from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.density import DensityControl, accumulate, statistics
+from ggavatar.gaussians.density_control import DensityControl, accumulate, statistics
+from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.deformation_transfer import FaceChanges, transferred
 from ggavatar.geometry.surface_sampling import spread_points
 from ggavatar.geometry.transforms import quaternion_multiply
-from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder

@@ -18,23 +18,23 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.binding import Placed, bind
-from ggavatar.bound_rows import BoundRates, bound_rows
-from ggavatar.colors import SH_C0
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.deform import AdjusterConfig, BasisAdjuster
-from ggavatar.density import DensityControl, accumulate
 from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
+from ggavatar.gaussians.binding import Placed, bind
+from ggavatar.gaussians.density_control import DensityControl, accumulate
+from ggavatar.gaussians.initial_colors import SH_C0
+from ggavatar.gaussians.initialization import BoundRates, bound_rows
+from ggavatar.gaussians.offsets import COLOUR, Offsets, refine
+from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
-from ggavatar.harmonic_rows import color_from_frames, degree_in_use, harmonics
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import image_terms, l1, log_scale_regulariser, position_regulariser
 from ggavatar.losses.vgg_term import PerceptualTerm
-from ggavatar.offsets import COLOUR, Offsets, refine
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ggavatar.binding import bind, bind_in_torch
+from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.geometry.transforms import axis_angle_to_matrix, quaternion_to_matrix
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 

@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 import torch
 
-from ggavatar.colors import SH_C0, rgb_to_sh, splatted_colors
 from ggavatar.core import Camera, Drive, Frame, Gaussians
+from ggavatar.gaussians.initial_colors import SH_C0, rgb_to_sh, splatted_colors
 from ggavatar.head.model import HeadModel
 from ggavatar.render.harmonics import sh_to_rgb
 from ggavatar.render.reference import rasterize

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from ggavatar.core import Rendering
-from ggavatar.density import (
+from ggavatar.gaussians.density_control import (
     DensityControl,
     accumulate,
     grow,

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from ggavatar.binding import bind_in_torch
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -22,6 +21,7 @@ from ggavatar.formats.imported import BoundAvatar, open_gaussians
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import activated, stored
+from ggavatar.gaussians.binding import bind_in_torch
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head, save_head

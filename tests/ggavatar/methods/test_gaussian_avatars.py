@@ -14,7 +14,7 @@ from ggavatar.core import Drive, Frame, Rendering
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
 from ggavatar.data.scene import Scene
-from ggavatar.density import split
+from ggavatar.gaussians.density_control import split
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_avatars import (
     OWN,

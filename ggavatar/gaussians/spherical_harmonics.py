@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ggavatar.colors import rgb_to_sh, splatted_colors
 from ggavatar.core import Drive, Gaussians
 from ggavatar.data.scene import Scene
+from ggavatar.gaussians.initial_colors import rgb_to_sh, splatted_colors
 from ggavatar.optim.parameters import Rows
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from ggavatar.density import statistics
 from ggavatar.errors import InputError
+from ggavatar.gaussians.density_control import statistics
 from ggavatar.head.model import HeadModel
 from ggavatar.optim.parameters import Column, Rows
 

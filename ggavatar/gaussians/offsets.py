@@ -100,11 +100,11 @@ def refine_in_torch(
 
 
 class _CompiledRefine(torch.autograd.Function):
-    """The compiled kernels of `ggavatar.refine_kernel`."""
+    """The compiled kernels of `ggavatar.gaussians.offsets_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
-        from ggavatar import refine_kernel as kernels
+        from ggavatar.gaussians import offsets_kernel as kernels
 
         *placed, rows, ctx.unit = inputs
         ctx.placed = kernels.Geometry(*(_array(value) for value in placed))
@@ -115,7 +115,7 @@ class _CompiledRefine(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        from ggavatar import refine_kernel as kernels
+        from ggavatar.gaussians import offsets_kernel as kernels
 
         _, quats, scales = (padded(*value.shape) for value in upstream)
         to_rows = torch.zeros(ctx.rows.shape)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ggavatar.binding_kernel import CHUNK, Floats, Geometry, bare, one_over_length
+from ggavatar.gaussians.binding_kernel import CHUNK, Floats, Geometry, bare, one_over_length
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import gather_rows, load_rows, pointer, store_columns, store_rows_10, take_ticket, transpose
 from ggavatar.jit.quaternions import conjugate, product, scaled, through_normalisation

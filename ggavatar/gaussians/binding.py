@@ -71,11 +71,11 @@ def bind_in_torch(
 
 
 class _CompiledBind(torch.autograd.Function):
-    """The compiled kernels of `ggavatar.binding_kernel`; triangles bring their quaternions if these carry gradient."""
+    """The compiled kernels of `ggavatar.gaussians.binding_kernel`; triangles bring their quaternions if these carry gradient."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
-        from ggavatar import binding_kernel as kernels
+        from ggavatar.gaussians import binding_kernel as kernels
 
         means, quats, log_scales, index, *frames, face_quats = inputs
         ctx.local = kernels.Geometry(*(_array(value) for value in (means, quats, log_scales)))
@@ -88,7 +88,7 @@ class _CompiledBind(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        from ggavatar import binding_kernel as kernels
+        from ggavatar.gaussians import binding_kernel as kernels
 
         wanted = kernels.Geometry(*(_array(value) for value in upstream))
         gradients = _room_for(len(ctx.index))

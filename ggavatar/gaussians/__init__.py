@@ -1,0 +1,1 @@
+"""Gaussians on a mesh: first rows, binding, offsets, density control, colours."""
