@@ -10,12 +10,12 @@ from torch import Tensor
 
 from benchmarks.measure import Timing, cores, interleaved, threads
 from benchmarks.step_scene import StepScene
-from ggavatar.fields import HashTriplane, lookup_in_torch
 from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
 from ggavatar.losses.dssim import image_terms, image_terms_in_torch
 from ggavatar.losses.terms import position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
-from ggavatar.perceptron import in_torch, perceptron
+from ggavatar.networks.fields import HashTriplane, lookup_in_torch
+from ggavatar.networks.mlp import in_torch, perceptron
 
 COUNT, SIZE = 50_000, 512
 QUICK_COUNT, QUICK_SIZE = 5_000, 128

@@ -8,8 +8,6 @@ import torch
 from torch import Tensor, nn
 
 from ggavatar.core import Camera, Drive, Gaussians, Rendering
-from ggavatar.deform import AdjusterConfig, BasisAdjuster
-from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.gaussians.binding import bind
 from ggavatar.gaussians.offsets import Offsets, refine
 from ggavatar.geometry.transforms import look_at
@@ -18,6 +16,8 @@ from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.losses.dssim import DssimTarget
 from ggavatar.losses.terms import image_terms, log_scale_regulariser, position_regulariser
+from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig
+from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.render.cpu import rasterizer
 
 DISTANCE = 1.0

@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from ggavatar import registry
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.deform import AdjusterConfig, BasisAdjuster
-from ggavatar.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.gaussians.binding import bind
 from ggavatar.gaussians.offsets import Offsets, refine
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_to_matrix
@@ -22,6 +20,8 @@ from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.losses.terms import dssim, l1, position_regulariser, scale_regulariser
 from ggavatar.methods.ggavatar import Config, GGAvatar, build, density_control, position_rate
+from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig
+from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS
 from ggavatar.render.reference import rasterize
 from ggavatar.schedule import preset

@@ -26,7 +26,6 @@ from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from ggavatar.conditioned_perceptron import ConditionedPerceptron
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.frames import spaced
 from ggavatar.data.scene import Scene
@@ -48,6 +47,7 @@ from ggavatar.jit.bfloat16 import product_type
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import huber
 from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.networks.conditioned_mlp import ConditionedPerceptron
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded

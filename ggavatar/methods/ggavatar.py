@@ -20,8 +20,6 @@ from torch import Tensor, nn
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.deform import AdjusterConfig, BasisAdjuster
-from ggavatar.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.gaussians.binding import Placed, bind
 from ggavatar.gaussians.density_control import DensityControl, accumulate
 from ggavatar.gaussians.initial_colors import SH_C0
@@ -35,6 +33,8 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import image_terms, l1, log_scale_regulariser, position_regulariser
 from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
+from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
 

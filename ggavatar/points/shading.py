@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.deform import linear
+from ggavatar.networks.morph_adjuster import linear
 from ggavatar.points.layers import NormedLinear
 
 WIDTH = 64

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from ggavatar.conditioned_perceptron import ConditionedPerceptron
+from ggavatar.networks.conditioned_mlp import ConditionedPerceptron
 
 
 def plain(network: ConditionedPerceptron, features: Tensor, condition: Tensor) -> Tensor:

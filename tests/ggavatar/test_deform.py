@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.deform import COLOUR_ROWS, AdjusterConfig, BasisAdjuster
-from ggavatar.fields import Box, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
 from ggavatar.geometry.transforms import quaternion_multiply, quaternion_to_matrix
+from ggavatar.networks.fields import Box, FourierFeatures, HashTriplane, HashTriplaneConfig
+from ggavatar.networks.morph_adjuster import COLOUR_ROWS, AdjusterConfig, BasisAdjuster
 
 CONDITIONS, COUNT = 12, 300
 BOX = Box((0.0, 0.0, 0.0), 2.0)

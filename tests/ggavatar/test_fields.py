@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ggavatar.fields import (
+from ggavatar.networks.fields import (
     PLANES,
     Box,
     FourierFeatures,

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ggavatar.perceptron import in_torch, perceptron
+from ggavatar.networks.mlp import in_torch, perceptron
 
 SHAPES = [(200, 72, 64, 64, 10), (131, 63, 48, 33, 13), (65, 5, 16, 80, 26), (1, 3, 2, 1, 1), (2500, 18, 32, 32, 10)]
 """Rows, inputs, first and second hidden width, outputs."""

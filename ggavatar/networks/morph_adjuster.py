@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import relu
 
-from ggavatar.fields import Field
 from ggavatar.gaussians.offsets import Offsets, refine
-from ggavatar.perceptron import field_perceptron
+from ggavatar.networks.fields import Field
+from ggavatar.networks.mlp import field_perceptron
 
 __all__ = ["COLOUR_ROWS", "GEOMETRY_ROWS", "AdjusterConfig", "BasisAdjuster", "Offsets", "refine"]
 

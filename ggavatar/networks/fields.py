@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from ggavatar.jit.dispatch import compiled_for
 
 if TYPE_CHECKING:
-    from ggavatar import triplane
+    from ggavatar.networks import triplane_kernel
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """The pairs of axes of the three planes: xy, xz, yz."""
@@ -168,43 +168,45 @@ def _corners(uv: Float[Tensor, "N 2"], level: Level) -> tuple[Int[Tensor, "N 4"]
 
 
 class _CompiledLookup(torch.autograd.Function):
-    """The compiled kernels of `ggavatar.triplane`."""
+    """The compiled kernels of `ggavatar.networks.triplane_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, points: Float32[ndarray, "3 N"], tables: Tensor, levels: tuple[Level, ...]) -> Tensor:
-        from ggavatar import triplane
+        from ggavatar.networks import triplane_kernel
 
         ctx.points, ctx.layout, ctx.shape = points, kernel_layout(levels), tables.shape
-        features = torch.empty(points.shape[1], len(PLANES) * len(levels) * triplane.FEATURES)
-        triplane.look_up(ctx.points, tables.detach().contiguous().numpy(), ctx.layout, features.numpy())
+        features = torch.empty(points.shape[1], len(PLANES) * len(levels) * triplane_kernel.FEATURES)
+        triplane_kernel.look_up(ctx.points, tables.detach().contiguous().numpy(), ctx.layout, features.numpy())
         return features
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[None, Tensor, None]:
-        from ggavatar import triplane
+        from ggavatar.networks import triplane_kernel
 
         gradient = torch.zeros(ctx.shape)
-        triplane.spread(ctx.points, upstream.contiguous().numpy(), ctx.layout, gradient.numpy())
+        triplane_kernel.spread(ctx.points, upstream.contiguous().numpy(), ctx.layout, gradient.numpy())
         return None, gradient, None
 
 
 def kernel_points(box: Box, x: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:
     """`box.normalise(x)` as the kernels want it; a position that is not a number must not become an index."""
-    from ggavatar import triplane
+    from ggavatar.networks import triplane_kernel
 
     points = np.empty((3, len(x)), np.float32)
-    triplane.normalise(x.detach().contiguous().numpy(), np.array(box.center, np.float32), np.float32(box.side), points)
+    triplane_kernel.normalise(
+        x.detach().contiguous().numpy(), np.array(box.center, np.float32), np.float32(box.side), points
+    )
     return points
 
 
 @functools.cache
-def kernel_layout(levels: tuple[Level, ...]) -> triplane.Layout:
+def kernel_layout(levels: tuple[Level, ...]) -> triplane_kernel.Layout:
     """The levels of all three planes as the kernels want them."""
-    from ggavatar import triplane
+    from ggavatar.networks import triplane_kernel
 
     entries = sum(level.size for level in levels)
     every = [(plane, level) for plane in range(len(PLANES)) for level in levels]
-    return triplane.Layout(
+    return triplane_kernel.Layout(
         axes=np.array([PLANES[plane] for plane, _ in every], np.int64),
         scale=np.array([level.scale for _, level in every], np.float32),
         side=np.array([level.side for _, level in every], np.uint32),

@@ -11,8 +11,8 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import linear, relu
 
-from ggavatar.fields import Field, HashTriplane, kernel_layout, kernel_points
 from ggavatar.jit.dispatch import compiled_for
+from ggavatar.networks.fields import Field, HashTriplane, kernel_layout, kernel_points
 
 Layer = tuple[Tensor, Tensor]
 """Weight [outputs, inputs] and bias of a linear layer."""
@@ -41,7 +41,7 @@ def in_torch(features: Float[Tensor, "N D"], first: Layer, second: Layer, last: 
 
 
 class _Perceptron(torch.autograd.Function):
-    """The compiled kernels of `ggavatar.perceptron_kernel`."""
+    """The compiled kernels of `ggavatar.networks.mlp_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, features: Tensor, *parameters: Tensor) -> Tensor:
@@ -56,29 +56,29 @@ class _Perceptron(torch.autograd.Function):
 
 
 class _FieldPerceptron(torch.autograd.Function):
-    """The same behind `ggavatar.triplane`; both leave out the rows without gradient on the way back."""
+    """The same behind `ggavatar.networks.triplane_kernel`; both leave out the rows without gradient on the way back."""
 
     @staticmethod
     def forward(ctx: Any, points: Any, tables: Tensor, levels: tuple[Any, ...], *parameters: Tensor) -> Tensor:
-        from ggavatar import triplane
+        from ggavatar.networks import triplane_kernel
 
         ctx.points, ctx.layout, ctx.shape = points, kernel_layout(levels), tables.shape
-        features = torch.empty(points.shape[1], len(ctx.layout.scale) * triplane.FEATURES)
-        triplane.look_up(ctx.points, tables.detach().numpy(), ctx.layout, features.numpy())
+        features = torch.empty(points.shape[1], len(ctx.layout.scale) * triplane_kernel.FEATURES)
+        triplane_kernel.look_up(ctx.points, tables.detach().numpy(), ctx.layout, features.numpy())
         return _forward(ctx, features, parameters)
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        from ggavatar import triplane
+        from ggavatar.networks import triplane_kernel
 
         rows, to_features, to_parameters = _backward(ctx, upstream)
         to_tables = torch.zeros(ctx.shape)
-        triplane.spread(np.take(ctx.points, rows, axis=1), to_features, ctx.layout, to_tables.numpy())
+        triplane_kernel.spread(np.take(ctx.points, rows, axis=1), to_features, ctx.layout, to_tables.numpy())
         return None, to_tables, None, *to_parameters
 
 
 def _forward(ctx: Any, features: Tensor, parameters: tuple[Tensor, ...]) -> Tensor:
-    from ggavatar import perceptron_kernel as kernels
+    from ggavatar.networks import mlp_kernel as kernels
 
     arrays = [parameter.detach().numpy() for parameter in parameters]
     ctx.layers = tuple(kernels.pack(*arrays[at : at + 2]) for at in (0, 2, 4))
@@ -92,7 +92,7 @@ def _forward(ctx: Any, features: Tensor, parameters: tuple[Tensor, ...]) -> Tens
 
 def _backward(ctx: Any, upstream: Tensor) -> tuple[Int64[ndarray, " A"], Float32[ndarray, "A D"], list[Tensor]]:
     """Rows with a gradient, the gradient of their features, and that of every weight and bias."""
-    from ggavatar import perceptron_kernel as kernels
+    from ggavatar.networks import mlp_kernel as kernels
 
     matrices = tuple(_flat(matrix) for matrix in (*ctx.saved_tensors, upstream.contiguous()))
     found = kernels.backward(matrices, ctx.layers)

@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.deform import linear
 from ggavatar.jit.bfloat16 import in_whole_groups
+from ggavatar.networks.morph_adjuster import linear
 
 GROUP = 1024
 """Rows of the backward pass come in multiples of this."""

@@ -1,0 +1,1 @@
+"""Fields over space, perceptrons and the Geometry Morph Adjuster."""
