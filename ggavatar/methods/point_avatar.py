@@ -27,7 +27,8 @@ from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import log_linear
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
-from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, Surface
+from ggavatar.points.canonical import CanonicalNetwork, Surface
+from ggavatar.points.canonical_reference import CanonicalConfig
 from ggavatar.points.deformer import Features, PointDeformer
 from ggavatar.points.driving import Driver, Pose, canonical_drive, expression_coefficients
 from ggavatar.points.head_fitting import HeadSurface, fit_to_head

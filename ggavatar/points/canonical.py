@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.points.layers import NormedLinear, affine, encode, he_normal, softplus
+from ggavatar.points.canonical_reference import CanonicalConfig
+from ggavatar.points.layers import NormedLinear, affine, he_normal
 
-SKIP_SCALE = 0.5**0.5
 ALBEDO_SHARPNESS = 10.0
-
-
-@dataclass(frozen=True)
-class CanonicalConfig:
-    """Sizes of the canonical network."""
-
-    width: int = 256
-    """Of the hidden layers."""
-    hidden: int = 9
-    """Hidden layers."""
-    skip: int = 4
-    """Layer that sees the encoded position again; 0 is none."""
-    octaves: int = 6
-    """Of the positional encoding."""
-    radius: float = 0.6
-    """Of the sphere that the network starts as, in its unit of length."""
 
 
 class Surface(NamedTuple):
@@ -78,31 +61,3 @@ class CanonicalNetwork(nn.Module):
         parameters = [tensor for layer in self.layers for tensor in affine(layer)]
         values, gradient = sweep(x.detach(), self.config, parameters, self.hidden_type)
         return Surface(values[:, 0], gradient, torch.sigmoid(ALBEDO_SHARPNESS * values[:, 1:]))
-
-
-def sweep_in_torch(
-    x: Float[Tensor, "N 3"], config: CanonicalConfig, parameters: list[Tensor]
-) -> tuple[Float[Tensor, "N 4"], Float[Tensor, "N 3"]]:
-    """Distance and raw albedo, and the gradient of the distance, differentiable in the parameters.
-
-    Args:
-        x: Positions.
-        config: Sizes.
-        parameters: Weight and bias of every layer, in order.
-    """
-    weights, biases = parameters[::2], parameters[1::2]
-    encoded, slopes = encode(x, config.octaves)
-    state, derivatives = encoded, []
-    for index in range(config.hidden):
-        if index and index == config.skip:
-            state = torch.cat((state, encoded), dim=1) * SKIP_SCALE
-        state, derivative = softplus(torch.addmm(biases[index], state, weights[index].T))
-        derivatives.append(derivative)
-    values = torch.addmm(biases[-1], state, weights[-1].T)
-    pull, direct = weights[-1][:1].expand(len(x), -1), torch.zeros_like(encoded)
-    for index in reversed(range(config.hidden)):
-        pull = (pull * derivatives[index]) @ weights[index]
-        if index and index == config.skip:
-            pull, direct = pull[:, : -encoded.shape[1]] * SKIP_SCALE, pull[:, -encoded.shape[1] :] * SKIP_SCALE
-    gradient = ((pull + direct) * slopes).unflatten(1, (-1, 3)).sum(1)
-    return values, gradient

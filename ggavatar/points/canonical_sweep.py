@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ggavatar.jit.bfloat16 import in_whole_groups
-from ggavatar.points.canonical import SKIP_SCALE, CanonicalConfig, sweep_in_torch
+from ggavatar.points.canonical_reference import SKIP_SCALE, CanonicalConfig, sweep_in_torch
 from ggavatar.points.layers import SHARPNESS, encode, softplus
 
 BLOCK = 512

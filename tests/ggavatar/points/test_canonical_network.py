@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from ggavatar.points.canonical import CanonicalConfig, CanonicalNetwork, sweep_in_torch
+from ggavatar.points.canonical import CanonicalNetwork
+from ggavatar.points.canonical_reference import CanonicalConfig, sweep_in_torch
 from ggavatar.points.canonical_sweep import BLOCK, sweep
 from ggavatar.points.layers import SHARPNESS, NormedLinear, encode, softplus
 
