@@ -69,14 +69,14 @@ FORK = """
 import os, sys, torch
 sys.path.insert(0, sys.argv[1])
 from scenes import FIELDS, random_camera, random_gaussians
-from ggavatar.render import cpu
+from ggavatar.render.cpu import rasterizer
 torch.set_num_threads(2)
 cloud, camera, white = random_gaussians(3000, 4, torch.float32), random_camera(300, 290, torch.float32), torch.ones(3)
 incoming = torch.randn(290, 300, 3)
 for name in FIELDS:
     getattr(cloud, name).requires_grad_()
 def draw():
-    drawn = cpu.rasterize(cloud, camera, white)
+    drawn = rasterizer.rasterize(cloud, camera, white)
     return [drawn.image.detach().numpy().tobytes()] + [
         gradient.numpy().tobytes()
         for gradient in torch.autograd.grad(drawn.image, [getattr(cloud, name) for name in FIELDS], incoming)
