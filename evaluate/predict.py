@@ -24,7 +24,7 @@ from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.images import write_png
-from ggavatar.runs import Run, choose_split, open_run
+from ggavatar.training.run_folder import Run, choose_split, open_run
 
 FOLDERS = ("predictions", "ground_truth", "masks")
 SUMMARY = "predict.json"
@@ -47,7 +47,7 @@ class Poses(Interface):
 
 @runtime_checkable
 class Renderable(Interface):
-    """The part of `ggavatar.runs.Run` that predicting needs."""
+    """The part of `ggavatar.training.run_folder.Run` that predicting needs."""
 
     @property
     def avatar(self) -> Any:

@@ -17,7 +17,7 @@ from ggavatar.geometry.transforms import project
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_grey, write_png
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 
 def write_region_masks(run: Run, folder: Path, frames: Sequence[int], wanted: Sequence[str]) -> list[str]:

@@ -32,7 +32,7 @@ from ggavatar.formats.source import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_rgb, write_png
-from ggavatar.runs import Run, open_run
+from ggavatar.training.run_folder import Run, open_run
 
 if TYPE_CHECKING:
     from evaluate.render_cli import Options

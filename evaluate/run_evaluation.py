@@ -24,7 +24,7 @@ from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source import is_gaussian_file
 from ggavatar.pretrained.folders import model_folders
 from ggavatar.pretrained.lpips import NO_WEIGHTS
-from ggavatar.runs import Run, open_run, read_config
+from ggavatar.training.run_folder import Run, open_run, read_config
 
 Progress = Callable[[int, int], None]
 

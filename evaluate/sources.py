@@ -9,7 +9,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT, open_imported_run
 from ggavatar.formats.source import Source
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 
 def open_file(path: Path, source: Source, split: str, device: str, backend: str = "auto") -> Run:

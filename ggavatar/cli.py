@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
 
-from ggavatar import registry
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError, run_command
+from ggavatar.training import registry
 from ggavatar.version import answer_version
 
 
@@ -68,8 +68,8 @@ def _description() -> str:
 
 
 def _train(arguments: Arguments) -> int:
-    from ggavatar.session import Interrupted, train_run
-    from ggavatar.trainer import TrainingError
+    from ggavatar.training.session import Interrupted, train_run
+    from ggavatar.training.trainer import TrainingError
 
     if arguments.output is None:
         raise InputError("expected a folder for the run; add -o RUN")

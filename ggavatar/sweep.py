@@ -23,10 +23,10 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg
 
-from ggavatar import registry
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, nearest, run_command
 from ggavatar.sweep_backends import Backend, Job, LocalProcesses, Outcome, RayCluster, logged
 from ggavatar.sweep_budget import fitting_steps
+from ggavatar.training import registry
 from ggavatar.version import answer_version
 
 

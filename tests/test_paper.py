@@ -10,7 +10,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggavatar import registry
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.binding import bind
@@ -24,7 +23,8 @@ from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS
 from ggavatar.render.reference import rasterize
-from ggavatar.schedule import preset
+from ggavatar.training import registry
+from ggavatar.training.plan import preset
 
 WHITE = torch.ones(3)
 

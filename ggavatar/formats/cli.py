@@ -106,7 +106,7 @@ def _export_run(arguments: Arguments) -> list[str]:
     from ggavatar.formats.exporting import BOUND, POINT_CLOUD, export_bound, export_splats
     from ggavatar.formats.poses import file_poses, frame_poses, neutral_pose
     from ggavatar.head.files import load_head
-    from ggavatar.runs import open_run
+    from ggavatar.training.run_folder import open_run
 
     device = ("cuda" if torch.cuda.is_available() else "cpu") if arguments.device == "auto" else arguments.device
     run = open_run(arguments.source, device, arguments.step)
@@ -130,7 +130,7 @@ def _export_run(arguments: Arguments) -> list[str]:
 
 def _drawn_otherwise(method: str) -> list[str]:
     """A word about methods that are not made to be drawn as Gaussians."""
-    from ggavatar.registry import load
+    from ggavatar.training.registry import load
 
     if not hasattr(load(method).module, "rasterizer"):
         return []

@@ -21,7 +21,7 @@ from ggavatar.formats.stored import Stored, stored
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.model import HeadModel
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 WRITERS: Mapping[str, Callable[[Path, Stored], None]] = {
     "ply": write_gaussian_ply,

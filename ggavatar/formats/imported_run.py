@@ -14,7 +14,7 @@ from ggavatar.formats.imported import BoundAvatar, open_gaussians
 from ggavatar.formats.source import Source, results_folder
 from ggavatar.head.files import load_head
 from ggavatar.render.backends import pick
-from ggavatar.runs import Run, RunConfig, choose_split
+from ggavatar.training.run_folder import Run, RunConfig, choose_split
 
 WHITE = (1.0, 1.0, 1.0)
 DEFAULT_SPLIT = "every-20th"

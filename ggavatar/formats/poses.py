@@ -21,7 +21,7 @@ from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.io.npz import npz_headers, read_npz
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 LARGEST = 1e4
 

@@ -17,7 +17,7 @@ from evaluate.predict import Job, job_of, predict_frames
 from evaluate.protocol import named
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 WHITE = Truth((1.0, 1.0, 1.0))
 

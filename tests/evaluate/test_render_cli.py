@@ -17,7 +17,7 @@ import evaluate.render_jobs
 from evaluate.render_cli import counter, main
 from evaluate.render_views import straight_alpha
 from ggavatar.io.images import read_rgb
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 
 @pytest.fixture

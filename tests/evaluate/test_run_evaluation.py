@@ -18,7 +18,7 @@ from evaluate.region_masks import frame_regions, write_region_masks
 from evaluate.run_evaluation import evaluate_run, fitted
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_png
-from ggavatar.runs import Run
+from ggavatar.training.run_folder import Run
 
 OPTIONS = Options(no_learned=True, quiet=True, device="cpu")
 

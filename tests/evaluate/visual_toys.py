@@ -16,7 +16,7 @@ from ggavatar.data.splits import Split
 from ggavatar.geometry.transforms import look_at
 from ggavatar.head.model import HeadModel
 from ggavatar.render.reference import rasterize
-from ggavatar.runs import Run, RunConfig
+from ggavatar.training.run_folder import Run, RunConfig
 
 WIDTH, HEIGHT, COUNT = 32, 24, 6
 JOINTS = ("root", "neck", "jaw", "left_eye", "right_eye")

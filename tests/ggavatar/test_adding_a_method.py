@@ -11,9 +11,9 @@ import pytest
 
 from evaluate.options import Options
 from evaluate.run_evaluation import evaluate_run
-from ggavatar import registry
 from ggavatar.data.capture import Capture
-from ggavatar.session import train_run
+from ggavatar.training import registry
+from ggavatar.training.session import train_run
 
 PAGE = Path(__file__).parents[2] / "docs" / "adding-a-method.md"
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from ggavatar import checkpoint
-from ggavatar.checkpoint import (
+from ggavatar.errors import InputError
+from ggavatar.training import checkpoint
+from ggavatar.training.checkpoint import (
     complete_steps,
     load_checkpoint,
     pack,
@@ -18,7 +19,6 @@ from ggavatar.checkpoint import (
     unpack_avatar,
     unpack_optimizers,
 )
-from ggavatar.errors import InputError
 
 
 def save(folder: Path, *steps: int) -> None:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from ggavatar import progress
-from ggavatar.progress import Journal, Line, clock, peak_memory_mib, read_journal
+from ggavatar.training import progress
+from ggavatar.training.journal import Journal, read_journal
+from ggavatar.training.progress import Line, clock, peak_memory_mib
 
 
 def test_journal_forgets_what_lies_beyond_the_checkpoint_and_torn_lines(tmp_path: Path) -> None:

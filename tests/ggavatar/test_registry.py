@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from ggavatar import registry
 from ggavatar.errors import InputError
+from ggavatar.training import registry
 
 STRANGER = '''"""A stranger that only exists in this test."""
 from dataclasses import dataclass

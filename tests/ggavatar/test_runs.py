@@ -12,8 +12,8 @@ import torch
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.runs import choose_split, open_run, read_config
-from ggavatar.session import train_run
+from ggavatar.training.run_folder import choose_split, open_run, read_config
+from ggavatar.training.session import train_run
 
 OPTIONS: dict[str, Any] = {"steps": 6, "save_every": 3, "device": "cpu", "set": ["perceptual_weight=0"]}
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
-from ggavatar.schedule import Training, preset
-from ggavatar.trainer import step_at
+from ggavatar.training.plan import Training, preset
+from ggavatar.training.trainer import step_at
 
 
 def test_position_rate_reaches_a_hundredth_at_half() -> None:

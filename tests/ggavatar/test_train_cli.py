@@ -101,7 +101,7 @@ def test_options_left_open_are_absent() -> None:
 def test_read_only_capture_is_fine_and_unwritable_output_is_a_failure(
     toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from ggavatar import session
+    from ggavatar.training import session
 
     def refuse(folder: Path, overwrite: bool) -> None:
         raise PermissionError(13, "Permission denied", str(folder))

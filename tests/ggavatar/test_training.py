@@ -15,15 +15,15 @@ from typing import Any
 import pytest
 import torch
 
-from ggavatar import registry
-from ggavatar.checkpoint import complete_steps, load_checkpoint
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
-from ggavatar.progress import read_journal
-from ggavatar.runs import open_run, write_config
-from ggavatar.session import Interrupted, configure, make_trainer, train_run
-from ggavatar.trainer import FiniteGuard, StopSignals, Trainer, TrainingError
+from ggavatar.training import registry
+from ggavatar.training.checkpoint import complete_steps, load_checkpoint
+from ggavatar.training.journal import read_journal
+from ggavatar.training.run_folder import open_run, write_config
+from ggavatar.training.session import Interrupted, configure, make_trainer, train_run
+from ggavatar.training.trainer import FiniteGuard, StopSignals, Trainer, TrainingError
 
 OPTIONS: dict[str, Any] = {"steps": 60, "eval_every": 0, "save_every": 25, "max_gaussians": 400, "device": "cpu"}
 """At this length density control works every 10 steps from step 10 to 30."""
@@ -123,7 +123,7 @@ def test_kill_loses_nothing_but_time(straight: Path, toy_capture: Capture, tmp_p
     folder = tmp_path / "killed"
     start(toy_capture, folder)
     code = (
-        "import sys; from pathlib import Path; from ggavatar.session import train_run; "
+        "import sys; from pathlib import Path; from ggavatar.training.session import train_run; "
         f"train_run(Path({str(toy_capture.folder)!r}), Path({str(folder)!r}), {{'resume': True}}, quiet=True)"
     )
     process = subprocess.Popen([sys.executable, "-c", code])
@@ -174,7 +174,7 @@ def test_every_method_learns_and_reopens(name: str, toy_capture: Capture, tmp_pa
 
 
 def test_signal_saves_and_says_so(toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from ggavatar import session
+    from ggavatar.training import session
 
     class Bomb(StopAt):
         def step(self, step: int, loss: float, gaussians: int) -> None:
@@ -262,8 +262,8 @@ def test_disk_full_ends_with_a_message_and_without_half_files(
 ) -> None:
     import errno
 
-    from ggavatar import checkpoint
     from ggavatar.errors import run_command
+    from ggavatar.training import checkpoint
 
     def full(path: Path, write: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))

@@ -21,8 +21,8 @@ from ggavatar.formats.poses import neutral_pose
 from ggavatar.formats.source import Source
 from ggavatar.formats.stored import activated
 from ggavatar.head.files import load_head
-from ggavatar.runs import open_run
-from ggavatar.session import train_run
+from ggavatar.training.run_folder import open_run
+from ggavatar.training.session import train_run
 
 sys.path.insert(0, str(Path(__file__).parent))
 from splats import psnr
@@ -190,8 +190,8 @@ def test_methods_without_a_binding_are_bound_to_the_nearest(
 
 
 def test_methods_with_a_renderer_of_their_own_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ggavatar import registry
     from ggavatar.formats.cli import _drawn_otherwise
+    from ggavatar.training import registry
 
     assert _drawn_otherwise("ggavatar") == []
     monkeypatch.setattr(registry.load("ggavatar").module, "rasterizer", object(), raising=False)

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from ggavatar.checkpoint import load_checkpoint
 from ggavatar.data.capture import Capture
-from ggavatar.session import configure, make_trainer
-from ggavatar.trainer import StopSignals, Trainer
+from ggavatar.training.checkpoint import load_checkpoint
+from ggavatar.training.session import configure, make_trainer
+from ggavatar.training.trainer import StopSignals, Trainer
 
 SETTINGS = ["density_start=0", "density_gradient=1e-6"]
 

@@ -11,8 +11,6 @@ from typing import Any
 import pytest
 import torch
 
-from ggavatar import registry
-from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame, Rendering
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
@@ -33,10 +31,12 @@ from ggavatar.methods.flash_avatar import (
     spacing,
 )
 from ggavatar.optim.schedules import scaled
-from ggavatar.progress import Silence
-from ggavatar.runs import RunConfig
-from ggavatar.session import configure, make_trainer
-from ggavatar.trainer import StopSignals
+from ggavatar.training import registry
+from ggavatar.training.checkpoint import load_checkpoint
+from ggavatar.training.progress import Silence
+from ggavatar.training.run_folder import RunConfig
+from ggavatar.training.session import configure, make_trainer
+from ggavatar.training.trainer import StopSignals
 
 
 def drawn(*shape: int) -> torch.Tensor:

@@ -9,7 +9,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggavatar import registry
 from ggavatar.core import Drive, Frame, Rendering
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
@@ -25,6 +24,7 @@ from ggavatar.methods.gaussian_avatars import (
     density_control,
     position_rate,
 )
+from ggavatar.training import registry
 
 OWN_RATES = {"means": 5e-3, "quats": 1e-3, "log_scales": 0.017, "opacity_logits": 0.05, "sh": 2.5e-3}
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from ggavatar.checkpoint import load_checkpoint
 from ggavatar.core import Drive, Frame
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
@@ -18,12 +17,13 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.json_files import write_json
 from ggavatar.losses.terms import l1
 from ggavatar.methods.point_avatar import PRESETS, UNIT, Config, PointAvatar, build, cloud_schedule, rasterizer
-from ggavatar.progress import read_journal
-from ggavatar.registry import load
 from ggavatar.render.discs.values import DiscRendering, Discs
-from ggavatar.runs import write_config
-from ggavatar.session import configure, make_trainer
-from ggavatar.trainer import StopSignals, Trainer
+from ggavatar.training.checkpoint import load_checkpoint
+from ggavatar.training.journal import read_journal
+from ggavatar.training.registry import load
+from ggavatar.training.run_folder import write_config
+from ggavatar.training.session import configure, make_trainer
+from ggavatar.training.trainer import StopSignals, Trainer
 
 QUICK = {"perceptual_weight": 0.0}
 

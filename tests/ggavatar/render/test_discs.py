@@ -10,12 +10,12 @@ import torch
 from scenes import random_camera
 from torch import Tensor
 
-from ggavatar import registry
 from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.render.cpu.rasterizer import rasterize as rasterize_gaussians
 from ggavatar.render.discs import rasterizer, reference
 from ggavatar.render.discs.values import NEAREST, DiscRendering, Discs, radius_in_pixels, similar_scale
+from ggavatar.training import registry
 
 
 @pytest.fixture(autouse=True)

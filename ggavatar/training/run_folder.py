@@ -21,8 +21,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ggavatar import registry
-from ggavatar.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.core import Frame, Rasterizer
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import Frames, spaced
@@ -32,7 +30,9 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.json_files import write_json
-from ggavatar.schedule import Training
+from ggavatar.training import registry
+from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
+from ggavatar.training.plan import Training
 
 SCHEMA, VERSION = "ggavatar-run", 1
 SAMPLES, SAMPLE_SIDE = 16, 256

@@ -18,12 +18,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ggavatar.checkpoint import complete_steps, load_checkpoint, pack, save_checkpoint, unpack_avatar, unpack_optimizers
 from ggavatar.core import Frame, Rasterizer, Rendering
 from ggavatar.data.frames import Frames, random_order, spaced
 from ggavatar.data.splits import Split
-from ggavatar.progress import Journal, Listener
-from ggavatar.schedule import Training
+from ggavatar.training.checkpoint import (
+    complete_steps,
+    load_checkpoint,
+    pack,
+    save_checkpoint,
+    unpack_avatar,
+    unpack_optimizers,
+)
+from ggavatar.training.journal import Journal
+from ggavatar.training.plan import Training
+from ggavatar.training.progress import Listener
 
 
 class TrainingError(RuntimeError):

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import importlib.metadata
-import json
-import platform
-import sys
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from ggavatar import registry
 from ggavatar.data.background import parse_background
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
-from ggavatar.progress import Line, Listener, Silence, peak_memory_mib
 from ggavatar.render.backends import choose_device
-from ggavatar.runs import (
+from ggavatar.training import registry
+from ggavatar.training.plan import preset
+from ggavatar.training.progress import Line, Listener, Silence
+from ggavatar.training.provenance import _outcome, _provenance
+from ggavatar.training.run_folder import (
     RunConfig,
     assemble,
     choose_split,
@@ -33,10 +27,7 @@ from ggavatar.runs import (
     read_split,
     write_config,
 )
-from ggavatar.schedule import preset
-from ggavatar.trainer import StopSignals, Trainer
-
-VERSIONED = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
+from ggavatar.training.trainer import StopSignals, Trainer
 
 
 class Interrupted(Exception):
@@ -154,47 +145,3 @@ def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunC
     if options.get("set"):
         raise InputError(f"{output}: --resume goes on with the run's own settings; leave --set out or start a new run")
     return config
-
-
-def _provenance(config: RunConfig, capture: Capture, split: Split) -> dict[str, Any]:
-    """Where the results come from."""
-    lists = json.dumps([list(split.train), list(split.test)]).encode()
-    return {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "argv": sys.argv,
-        "versions": {"python": platform.python_version(), **_versions()},
-        "platform": platform.platform(),
-        "device": config.device,
-        "device_name": torch.cuda.get_device_name(config.device)
-        if config.device.startswith("cuda")
-        else platform.machine(),
-        "threads": torch.get_num_threads(),
-        "seed": config.seed,
-        "capture_sha256": capture.digest(),
-        "split_sha256": hashlib.sha256(lists).hexdigest(),
-        "finished": False,
-    }
-
-
-def _outcome(trainer: Trainer, done: int) -> dict[str, Any]:
-    """What is known once the training is over."""
-    on_gpu = torch.cuda.max_memory_allocated() >> 20 if torch.cuda.is_available() else None
-    notes = trainer.avatar.notes() if hasattr(trainer.avatar, "notes") else {}
-    return {
-        "finished": done >= trainer.plan.steps,
-        "steps": done,
-        "training_seconds": round(trainer.seconds, 3),
-        "peak_memory_mib": peak_memory_mib(),
-        "peak_gpu_memory_mib": on_gpu,
-        "notes": notes,
-    }
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in VERSIONED:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found

@@ -1,0 +1,67 @@
+"""Where the results of a run come from: versions, digests, device, outcome."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import sys
+from datetime import UTC, datetime
+from typing import Any
+
+import torch
+
+from ggavatar.data.capture import Capture
+from ggavatar.data.splits import Split
+from ggavatar.training.progress import peak_memory_mib
+from ggavatar.training.run_folder import (
+    RunConfig,
+)
+from ggavatar.training.trainer import Trainer
+
+VERSIONED = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
+
+
+def _provenance(config: RunConfig, capture: Capture, split: Split) -> dict[str, Any]:
+    """Where the results come from."""
+    lists = json.dumps([list(split.train), list(split.test)]).encode()
+    return {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "argv": sys.argv,
+        "versions": {"python": platform.python_version(), **_versions()},
+        "platform": platform.platform(),
+        "device": config.device,
+        "device_name": torch.cuda.get_device_name(config.device)
+        if config.device.startswith("cuda")
+        else platform.machine(),
+        "threads": torch.get_num_threads(),
+        "seed": config.seed,
+        "capture_sha256": capture.digest(),
+        "split_sha256": hashlib.sha256(lists).hexdigest(),
+        "finished": False,
+    }
+
+
+def _outcome(trainer: Trainer, done: int) -> dict[str, Any]:
+    """What is known once the training is over."""
+    on_gpu = torch.cuda.max_memory_allocated() >> 20 if torch.cuda.is_available() else None
+    notes = trainer.avatar.notes() if hasattr(trainer.avatar, "notes") else {}
+    return {
+        "finished": done >= trainer.plan.steps,
+        "steps": done,
+        "training_seconds": round(trainer.seconds, 3),
+        "peak_memory_mib": peak_memory_mib(),
+        "peak_gpu_memory_mib": on_gpu,
+        "notes": notes,
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in VERSIONED:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
