@@ -23,7 +23,7 @@ from ggavatar.training.trainer import Trainer
 VERSIONED = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
 
 
-def _provenance(config: RunConfig, capture: Capture, split: Split) -> dict[str, Any]:
+def provenance_of(config: RunConfig, capture: Capture, split: Split) -> dict[str, Any]:
     """Where the results come from."""
     lists = json.dumps([list(split.train), list(split.test)]).encode()
     return {
@@ -43,7 +43,7 @@ def _provenance(config: RunConfig, capture: Capture, split: Split) -> dict[str, 
     }
 
 
-def _outcome(trainer: Trainer, done: int) -> dict[str, Any]:
+def outcome_of(trainer: Trainer, done: int) -> dict[str, Any]:
     """What is known once the training is over."""
     on_gpu = torch.cuda.max_memory_allocated() >> 20 if torch.cuda.is_available() else None
     notes = trainer.avatar.notes() if hasattr(trainer.avatar, "notes") else {}

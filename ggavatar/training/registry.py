@@ -21,7 +21,7 @@ from typing import Any
 from ggavatar.errors import InputError, nearest
 from ggavatar.io.dataclass_json import from_plain, override
 
-FOLDER = Path(__file__).parent / "methods"
+FOLDER = Path(__file__).parents[1] / "methods"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ggavatar.render.backends import choose_device
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
 from ggavatar.training.progress import Line, Listener, Silence
-from ggavatar.training.provenance import _outcome, _provenance
+from ggavatar.training.provenance import outcome_of, provenance_of
 from ggavatar.training.run_folder import (
     RunConfig,
     assemble,
@@ -75,11 +75,11 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         done = trainer.resume() if resuming else 0
         if done >= config.training.steps:
             return done
-        provenance = _provenance(config, capture, split)
+        provenance = provenance_of(config, capture, split)
         write_json(output / "provenance.json", provenance)
         trainer.listener = Silence() if quiet else Line(done, config.training.steps)
         done = trainer.run(done, stop)
-        write_json(output / "provenance.json", {**provenance, **_outcome(trainer, done)})
+        write_json(output / "provenance.json", {**provenance, **outcome_of(trainer, done)})
     if stop.received is not None and done < config.training.steps:
         raise Interrupted(done, stop.received)
     return done
