@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Camera, Drive, Gaussians, Rasterizer
-from ggavatar.formats.imported import BoundAvatar, ImportedAvatar, open_gaussians
+from ggavatar.formats.imported_avatar import BoundAvatar, ImportedAvatar, open_gaussians
 from ggavatar.formats.imported_run import WHITE, file_digest
-from ggavatar.formats.source import Source, results_folder
+from ggavatar.formats.source_options import Source, results_folder
 from ggavatar.geometry.transforms import look_at
 from ggavatar.render.backends import pick
 

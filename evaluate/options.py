@@ -11,7 +11,7 @@ import tyro
 from evaluate.protocol import PROTOCOLS, Protocol, named
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
-from ggavatar.formats.source import Source
+from ggavatar.formats.source_options import Source
 from ggavatar.version import answer_version
 
 Alias = tyro.conf.arg

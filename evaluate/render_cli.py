@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ggavatar.errors import InputError, run_command
-from ggavatar.formats.source import Source, is_gaussian_file
+from ggavatar.formats.source_options import Source, is_gaussian_file
 from ggavatar.version import answer_version
 
 

@@ -28,7 +28,7 @@ from evaluate.video import playback_fps
 from ggavatar.core import Camera, Drive
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.formats.source import is_gaussian_file
+from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_rgb, write_png

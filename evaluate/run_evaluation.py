@@ -21,7 +21,7 @@ from evaluate.sources import open_file, refuse_file_flags
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
-from ggavatar.formats.source import is_gaussian_file
+from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.pretrained.folders import model_folders
 from ggavatar.pretrained.lpips import NO_WEIGHTS
 from ggavatar.training.run_folder import Run, open_run, read_config

@@ -8,7 +8,7 @@ from evaluate.protocol import GIVEN
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT, open_imported_run
-from ggavatar.formats.source import Source
+from ggavatar.formats.source_options import Source
 from ggavatar.training.run_folder import Run
 
 

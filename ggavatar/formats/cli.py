@@ -12,7 +12,7 @@ import tyro
 from tyro.conf import Positional, arg
 
 from ggavatar.errors import InputError, nearest, run_command
-from ggavatar.formats.capture_formats import capture_formats, export_capture
+from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.version import answer_version
 
 RUN_FORMATS = ("ply", "splat", "spz", "gaussian-avatars")
@@ -103,7 +103,7 @@ def _export_run(arguments: Arguments) -> list[str]:
         )
     import torch
 
-    from ggavatar.formats.exporting import BOUND, POINT_CLOUD, export_bound, export_splats
+    from ggavatar.formats.export import BOUND, POINT_CLOUD, export_bound, export_splats
     from ggavatar.formats.poses import file_poses, frame_poses, neutral_pose
     from ggavatar.head.files import load_head
     from ggavatar.training.run_folder import open_run

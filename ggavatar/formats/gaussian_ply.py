@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from ggavatar.errors import InputError
 from ggavatar.formats.ply import Header, read_columns, read_header, write_columns
-from ggavatar.formats.stored import Stored, turned
+from ggavatar.formats.stored_gaussians import Stored, turned
 
 Axes = Literal["auto", "world", "viewer"]
 VIEWER_NOTE = "ggavatar axes: x right, y down, z away"

@@ -10,8 +10,8 @@ import torch
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import Frames
 from ggavatar.errors import InputError
-from ggavatar.formats.imported import BoundAvatar, open_gaussians
-from ggavatar.formats.source import Source, results_folder
+from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
+from ggavatar.formats.source_options import Source, results_folder
 from ggavatar.head.files import load_head
 from ggavatar.render.backends import pick
 from ggavatar.training.run_folder import Run, RunConfig, choose_split

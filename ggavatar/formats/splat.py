@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggavatar.formats.stored import Stored, turned
+from ggavatar.formats.stored_gaussians import Stored, turned
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.io.atomic import write_atomically
 

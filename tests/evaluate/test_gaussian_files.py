@@ -15,10 +15,10 @@ from evaluate import cli, render_cli
 from evaluate.lone_file import extent, open_alone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
-from ggavatar.formats.bound import unbind
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
-from ggavatar.formats.source import Source
-from ggavatar.formats.stored import stored
+from ggavatar.formats.source_options import Source
+from ggavatar.formats.stored_gaussians import stored
+from ggavatar.formats.unbinding import unbind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.io.images import read_rgb
 from ggavatar.render.reference import rasterize

@@ -10,7 +10,7 @@ import pytest
 from made_up_subject import as_tracking, ball_head, make_clip
 
 from ggavatar.data.capture import Capture
-from ggavatar.formats.capture_formats import capture_formats
+from ggavatar.formats.capture_layouts import capture_formats
 from ggavatar.formats.cli import main as export
 from preprocess import export as exporters
 from preprocess.cli import main as prepare

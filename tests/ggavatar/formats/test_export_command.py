@@ -12,14 +12,14 @@ import torch
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.formats import exporting
+from ggavatar.formats import export as exporting
 from ggavatar.formats.cli import main
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.imported_run import open_imported_run
-from ggavatar.formats.placing import appearing_folder
+from ggavatar.formats.output_folder import appearing_folder
 from ggavatar.formats.poses import neutral_pose
-from ggavatar.formats.source import Source
-from ggavatar.formats.stored import activated
+from ggavatar.formats.source_options import Source
+from ggavatar.formats.stored_gaussians import activated
 from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import open_run
 from ggavatar.training.session import train_run

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.ply import MAX_ROWS, read_header
-from ggavatar.formats.stored import Stored, stored
+from ggavatar.formats.stored_gaussians import Stored, stored
 
 sys.path.insert(0, str(Path(__file__).parent))
 from splats import cloud

@@ -21,7 +21,7 @@ from ggavatar.core import Gaussians
 from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored import TURNED_SIGNS, activated, stored, turned
+from ggavatar.formats.stored_gaussians import TURNED_SIGNS, activated, stored, turned
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.render.harmonics import sh_basis

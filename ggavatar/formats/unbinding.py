@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ggavatar.core import Gaussians
-from ggavatar.formats.stored import Stored, stored
+from ggavatar.formats.stored_gaussians import Stored, stored
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_multiply
 from ggavatar.geometry.triangles import TriangleFrames
 from ggavatar.optim.parameters import Rows

@@ -16,8 +16,8 @@ from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import FILE, FlameParameters, read_flame_parameters
 from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH_FACES, with_teeth
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
-from ggavatar.formats.source import Source
-from ggavatar.formats.stored import Stored, activated
+from ggavatar.formats.source_options import Source
+from ggavatar.formats.stored_gaussians import Stored, activated
 from ggavatar.gaussians.binding import bind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head

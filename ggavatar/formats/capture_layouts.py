@@ -13,7 +13,7 @@ from typing import Any
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.formats.placing import appearing_folder
+from ggavatar.formats.output_folder import appearing_folder
 
 GROUP = "ggavatar.capture_formats"
 

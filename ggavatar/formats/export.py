@@ -10,14 +10,14 @@ import numpy as np
 import torch
 
 from ggavatar.errors import InputError
-from ggavatar.formats.bound import binding_of, nearest_faces, unbind
 from ggavatar.formats.flame_parameters import FILE, FlameParameters, write_flame_parameters
 from ggavatar.formats.gaussian_ply import full_degree, write_gaussian_ply
-from ggavatar.formats.placing import appearing_folder, require_free
+from ggavatar.formats.output_folder import appearing_folder, require_free
 from ggavatar.formats.poses import Pose
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored import Stored, stored
+from ggavatar.formats.stored_gaussians import Stored, stored
+from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.model import HeadModel
