@@ -16,7 +16,7 @@ import pytest
 from ggavatar import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.sweep_backends import (
+from ggavatar.sweeps.backends import (
     Backend,
     Job,
     LocalProcesses,

@@ -12,7 +12,7 @@ import pytest
 from ggavatar import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.sweep_budget import PILOT_STEPS, Moment, seconds_per_step, steps_within
+from ggavatar.sweeps.time_budget import PILOT_STEPS, Moment, seconds_per_step, steps_within
 
 STUB = """#!{python}
 import json, pathlib, sys

@@ -1,0 +1,1 @@
+"""Grids of trainings: cells, where they run, how long."""
