@@ -8,7 +8,7 @@ import json
 import sys
 from pathlib import Path
 
-from ggavatar.process import prepare_process
+from ggavatar.cli.process import prepare_process
 
 prepare_process()
 from benchmarks.measure import environment  # noqa: E402  imports torch

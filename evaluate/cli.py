@@ -21,7 +21,8 @@ from evaluate.regression import Check, to_github, write_junit
 from evaluate.render_table_terminal import show
 from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
-from ggavatar.errors import GateError, InputError, run_command
+from ggavatar.cli.run import run_command
+from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
 from ggavatar.pretrained.folders import model_folders
 

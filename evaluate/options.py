@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 import tyro
 
 from evaluate.protocol import PROTOCOLS, Protocol, named
+from ggavatar.cli.version import answer_version
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import Source
-from ggavatar.version import answer_version
 
 Alias = tyro.conf.arg
 

@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ggavatar.errors import InputError, run_command
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import InputError
 from ggavatar.formats.source_options import Source, is_gaussian_file
-from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)

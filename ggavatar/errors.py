@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import errno
-import os
-import sys
-from collections.abc import Callable, Collection
-
-from ggavatar.process import prepare_process
+from collections.abc import Collection
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 3, 130, 143
 
@@ -19,42 +14,6 @@ class InputError(ValueError):
 
 class GateError(Exception):
     """A regression gate, a strict doctor or another check the user asked for has failed (exit code 3)."""
-
-
-def run_command(main: Callable[[], int | None]) -> int:
-    """Run the body of a command and return its exit code; foreseeable failures become one message on stderr."""
-    prepare_process()
-    try:
-        return main() or 0
-    except InputError as error:
-        return _report("error", error, EXIT_USAGE)
-    except GateError as error:
-        return _report("gate failed", error, EXIT_GATE)
-    except KeyboardInterrupt as error:
-        return _report("interrupted", str(error) or "nothing more was written", EXIT_INTERRUPTED)
-    except MemoryError as error:
-        return _report("out of memory", f"{error}; use fewer frames, a smaller --size or fewer Gaussians", EXIT_FAILURE)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_FAILURE
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return _report("error", f"{where}{error.strerror or error}{_next_step(error.errno)}", EXIT_FAILURE)
-
-
-def _next_step(code: int | None) -> str:
-    """What to do about an operating-system error."""
-    steps = {
-        errno.ENOSPC: "; free some space or choose another folder with -o, then run the same command again",
-        errno.EACCES: "; check the permissions or choose another folder with -o",
-        errno.EROFS: "; choose a writable folder with -o",
-    }
-    return steps.get(code or 0, "")
-
-
-def _report(kind: str, message: object, code: int) -> int:
-    sys.stderr.write(f"{kind}: {message}\n")
-    return code
 
 
 def nearest(name: str, known: Collection[str]) -> str:

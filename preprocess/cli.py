@@ -11,8 +11,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggavatar.errors import GateError, run_command
-from ggavatar.version import answer_version
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import GateError
 from preprocess.options import PrepOptions
 
 

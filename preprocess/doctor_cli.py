@@ -9,8 +9,9 @@ from pathlib import Path
 
 import tyro
 
-from ggavatar.errors import GateError, run_command
-from ggavatar.version import answer_version
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import GateError
 
 
 @dataclass(frozen=True)

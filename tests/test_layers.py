@@ -105,7 +105,7 @@ def test_starts_without_torch(module: str) -> None:
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
-@pytest.mark.parametrize("module", ["ggavatar.training.trainer", "ggavatar.cli"])
+@pytest.mark.parametrize("module", ["ggavatar.training.trainer", "ggavatar.cli.train"])
 def test_training_core_needs_few_packages(module: str) -> None:
     heavy = {"cv2", "skimage", "scipy", "kornia", "trimesh", "pandas", "matplotlib", "av", "plyfile"}
     code = f"import sys, {module}; print(sorted({heavy!r} & set(sys.modules)))"

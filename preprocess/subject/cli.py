@@ -15,8 +15,9 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ggavatar.errors import InputError, run_command
-from ggavatar.version import answer_version
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ COUNT = """
 import ctypes, resource, sys
 import numpy as np
 if sys.argv[1] == "prepared":
-    from ggavatar.process import prepare_process
+    from ggavatar.cli.process import prepare_process
     prepare_process()
 ctypes.CDLL(None).prctl(41, 1, 0, 0, 0)  # no huge pages, or their faults would be too few to compare
 for number in range(21):

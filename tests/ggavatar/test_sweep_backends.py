@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from ggavatar import sweep
+from ggavatar.cli import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps.backends import (

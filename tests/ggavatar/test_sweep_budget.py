@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ggavatar import sweep
+from ggavatar.cli import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps.time_budget import PILOT_STEPS, Moment, seconds_per_step, steps_within

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from ggavatar import cli, sweep
-from ggavatar.cli import Arguments, options_of
+from ggavatar.cli import sweep
+from ggavatar.cli import train as cli
+from ggavatar.cli.train import Arguments, options_of
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 

@@ -262,7 +262,7 @@ def test_disk_full_ends_with_a_message_and_without_half_files(
 ) -> None:
     import errno
 
-    from ggavatar.errors import run_command
+    from ggavatar.cli.run import run_command
     from ggavatar.training import checkpoint
 
     def full(path: Path, write: Any) -> None:

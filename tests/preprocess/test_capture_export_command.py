@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from made_up_subject import as_tracking, ball_head, make_clip
 
+from ggavatar.cli.export import main as export
 from ggavatar.data.capture import Capture
 from ggavatar.formats.capture_layouts import capture_formats
-from ggavatar.formats.cli import main as export
 from preprocess import export as exporters
 from preprocess.cli import main as prepare
 from preprocess.importers import metrical_tracker, vhap

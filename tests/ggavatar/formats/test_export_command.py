@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from ggavatar.cli.export import main
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats import export as exporting
-from ggavatar.formats.cli import main
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.output_folder import appearing_folder
@@ -190,7 +190,7 @@ def test_methods_without_a_binding_are_bound_to_the_nearest(
 
 
 def test_methods_with_a_renderer_of_their_own_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ggavatar.formats.cli import _drawn_otherwise
+    from ggavatar.cli.export import _drawn_otherwise
     from ggavatar.training import registry
 
     assert _drawn_otherwise("ggavatar") == []

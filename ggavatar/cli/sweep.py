@@ -20,11 +20,12 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg
 
-from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, nearest, run_command
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, nearest
 from ggavatar.sweeps.backends import Backend, Job, LocalProcesses, Outcome, RayCluster
 from ggavatar.sweeps.cell import Cell, console_script, train_cell
 from ggavatar.training import registry
-from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional, arg
 
-from ggavatar.errors import InputError, nearest, run_command
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
-from ggavatar.version import answer_version
 
 RUN_FORMATS = ("ply", "splat", "spz", "gaussian-avatars")
 _NEXT = {

@@ -10,9 +10,10 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
 
-from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError, run_command
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import answer_version
+from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 from ggavatar.training import registry
-from ggavatar.version import answer_version
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""The commands ggavatar-train, ggavatar-sweep and ggavatar-export, and what all commands share."""
