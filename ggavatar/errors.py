@@ -1,4 +1,4 @@
-"""The one exception for bad input, and how a command turns exceptions into a message and an exit code."""
+"""Exceptions for what the user gave, the exit codes of the commands, and the nearest known name."""
 
 from __future__ import annotations
 
