@@ -11,13 +11,14 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import in_order
-from preprocess.crop import Crop, explicit, rectangle, square, square_around, whole_frame
-from preprocess.frames import DecodedFrame, open_source
 from preprocess.importing import SWAPPED_SIZE, read_foreign
 from preprocess.options import PrepOptions
 from preprocess.read_stage import selection_of
 from preprocess.record import ForeignTracking
 from preprocess.stage import Job, Stage, file_state
+from preprocess.video.crop import Crop, explicit, rectangle, square, square_around, whole_frame
+from preprocess.video.frame import DecodedFrame
+from preprocess.video.sources import open_source
 
 HEAD_POINTS = np.array([[x, y, z] for x in (-0.09, 0.09) for y in (-0.12, 0.14) for z in (-0.12, 0.08)])
 """Corners of a box around an adult's head in FLAME's frame, m."""

@@ -21,9 +21,9 @@ from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_axis_an
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg, write_png
-from preprocess.crop import Crop
 from preprocess.importers import metrical_tracker, vhap
 from preprocess.record import FLAME_JOINTS, ForeignTracking
+from preprocess.video.crop import Crop
 
 FLASH_AVATAR_SIDE = 512
 FLASH_AVATAR_TEST = 500

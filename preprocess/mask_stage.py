@@ -11,10 +11,10 @@ import numpy as np
 from ggavatar.errors import GateError, InputError
 from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
 from ggavatar.io.ordered_map import in_order
-from preprocess.crop import Crop, crop_from_json
-from preprocess.frames import numbered_pictures
 from preprocess.options import PrepOptions
 from preprocess.stage import Job, Stage, file_state
+from preprocess.video.crop import Crop, crop_from_json
+from preprocess.video.image_folder import numbered_pictures
 
 KINDS = ("auto", "selfie", "grabcut")
 NETWORK_FILES = frozenset({".onnx", ".torchscript", ".pt", ".pth"})

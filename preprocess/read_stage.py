@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import GateError, InputError
-from preprocess.frames import DecodedFrame, Selection, open_source, parse_selection
 from preprocess.options import PrepOptions
 from preprocess.stage import Job, Stage, file_state
+from preprocess.video.frame import DecodedFrame
+from preprocess.video.selection import Selection, parse_selection
+from preprocess.video.sources import open_source
 
 SECONDS_BETWEEN_FACES = 0.5
 

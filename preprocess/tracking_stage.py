@@ -15,7 +15,6 @@ from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_grey, read_rgb
 from ggavatar.io.npz import write_npz
-from preprocess.crop import crop_from_json
 from preprocess.hypotheses import apply_fixes
 from preprocess.importing import SWAPPED_SIZE, read_foreign
 from preprocess.options import PrepOptions
@@ -25,6 +24,7 @@ from preprocess.record import FLAME_JOINTS, ForeignTracking
 from preprocess.sequence import TrackedSequence
 from preprocess.stage import Job, Stage, file_state
 from preprocess.torso import followed_torso
+from preprocess.video.crop import crop_from_json
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
-from preprocess.crop import Crop, crop_from_json, explicit, square, square_around, whole_frame
+from preprocess.video.crop import Crop, crop_from_json, explicit, square, square_around, whole_frame
 
 
 def place_picture(width, height):

@@ -11,8 +11,10 @@ from made_up_subject import write_video
 
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
-from preprocess.frames import PictureFolder, Selection, open_source, parse_selection
-from preprocess.video import Video
+from preprocess.video.decoding import Video
+from preprocess.video.image_folder import PictureFolder
+from preprocess.video.selection import Selection, parse_selection
+from preprocess.video.sources import open_source
 
 
 def numbered(count, width=64, height=48, step=4):
@@ -242,7 +244,7 @@ def test_selection():
 
     class Given:
         def frames(self):
-            from preprocess.frames import DecodedFrame
+            from preprocess.video.frame import DecodedFrame
 
             for number, time in frames:
                 yield DecodedFrame(number, time, 4, 4, lambda: np.zeros((4, 4, 3), np.uint8))

@@ -20,8 +20,8 @@ from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_jpeg, write_png
 from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npz
-from preprocess.frames import open_source
 from preprocess.importing import importer, importer_names
+from preprocess.video.sources import open_source
 
 COUNT = int(os.environ.get("GGAVATAR_MUTATIONS", "60"))
 HANG = 10.0

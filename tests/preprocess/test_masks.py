@@ -142,7 +142,7 @@ def key(image):
 @pytest.mark.weights
 def test_green_screen(data_folder, models_folder):
     """Goal of the project: IoU ≥ 0.985 against the chroma key, and a background that does not flicker."""
-    from preprocess.video import Video
+    from preprocess.video.decoding import Video
 
     frames = [frame.image for frame in Video(data_folder / "clips" / "greenscreen_512.mp4").frames()][:24]
     masks = np.array(list(open_matting("selfie", models_folder, True).masks(frames)))
@@ -154,7 +154,7 @@ def test_green_screen(data_folder, models_folder):
 
 @pytest.mark.weights
 def test_grabcut_says_it_is_a_fallback(data_folder):
-    from preprocess.video import Video
+    from preprocess.video.decoding import Video
 
     frames = [frame.image for frame in Video(data_folder / "clips" / "greenscreen_512.mp4").frames()][:6]
     matting = open_matting("grabcut", None, True)

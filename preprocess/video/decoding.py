@@ -13,7 +13,7 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.images import MAX_PIXELS
-from preprocess.frames import DecodedFrame
+from preprocess.video.frame import DecodedFrame
 
 # Containers only: playlists and concatenation scripts could make the decoder open other files or addresses.
 _CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,flv,ogg,asf,mxf,gif,ivf,h264,hevc,m4v,nut"

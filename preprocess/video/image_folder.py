@@ -1,0 +1,57 @@
+"""A folder of numbered images as a source of frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from ggavatar.errors import InputError
+from ggavatar.io.images import picture_header, read_rgb
+from preprocess.video.frame import DecodedFrame
+
+PICTURES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+class PictureFolder:
+    """PNG or JPEG files whose names hold the frame number."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self.path = path
+        self._fps = fps
+        self._files = numbered_pictures(path)
+        if not self._files:
+            raise InputError(
+                f"{path}: no pictures in this folder; expected PNG or JPEG files with numbers in their names"
+            )
+
+    def frames(self) -> Iterator[DecodedFrame]:
+        """All pictures by number; they must be of one size."""
+        size: tuple[int, int] | None = None
+        for row, (number, path) in enumerate(self._files.items()):
+            header = picture_header(path)
+            size = size or (header.width, header.height)
+            if (header.width, header.height) != size:
+                found = f"{header.width}×{header.height}"
+                raise InputError(f"{path}: expected {size[0]}×{size[1]} px like the first picture, found {found}")
+            yield DecodedFrame(number, row / self._fps, header.width, header.height, partial(read_rgb, path))
+
+    def losses(self) -> list[str]:
+        """Nothing is ever skipped silently in a folder."""
+        return []
+
+
+def numbered_pictures(folder: Path) -> dict[int, Path]:
+    """PNG and JPEG files of a folder by the last number in their names, ascending.
+
+    By position if numbers are missing or repeat.
+    """
+    files = sorted(
+        path for path in folder.iterdir() if path.suffix.lower() in PICTURES and not path.name.startswith(".")
+    )
+    digits = [re.findall(r"\d+", path.stem) for path in files]
+    numbers = [int(found[-1]) if found and len(found[-1]) <= 9 else -1 for found in digits]
+    if len(set(numbers)) == len(files) and min(numbers, default=0) >= 0:
+        return dict(sorted(zip(numbers, files, strict=True)))
+    return dict(enumerate(files))
