@@ -36,7 +36,7 @@ def run(job: Job) -> Mapping[str, Any]:
 
 def _own_masks(job: Job, folder: Path) -> Mapping[str, Any]:
     """Masks the user has, paired by number."""
-    from preprocess.mask_pairing import find_mask_offset
+    from preprocess.masks.pairing import find_mask_offset
 
     numbers, files = list(job.results["frames"]["numbers"]), numbered_pictures(folder)
     if not files:
@@ -98,7 +98,7 @@ def _source_size(job: Job) -> tuple[int, int]:
 
 def _computed_masks(job: Job, wanted: str) -> Mapping[str, Any]:
     """Masks from a network or from GrabCut, one frame after the other."""
-    from preprocess.masks import open_matting
+    from preprocess.masks.matting import open_matting
 
     numbers = list(job.results["frames"]["numbers"])
     matting = open_matting(wanted, job.options.models, job.options.offline)

@@ -11,7 +11,8 @@ from scipy import ndimage
 
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import AHEAD, cores
-from preprocess.masks import SelfieMatting, only_person, open_matting, to_mask
+from preprocess.masks.cleanup import only_person, to_mask
+from preprocess.masks.matting import SelfieMatting, open_matting
 
 
 @dataclass

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ggavatar.errors import InputError
-from preprocess.masks import only_person
+from preprocess.masks.cleanup import only_person
 
 SIDE = 256
 BAND = 8

@@ -16,7 +16,8 @@ from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import in_order
-from preprocess.mask_network import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
+from preprocess.masks.cleanup import only_person, to_mask
+from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
 """The network's coverage reaches a little too far; measured against a chroma key (docs/log.md)."""
@@ -61,7 +62,7 @@ def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
 
         return SelfieMatting(SelfieNetwork(resolve("selfie_segmentation", models, offline)))
     if wanted == "grabcut":
-        from preprocess.grabcut import GrabCutMatting
+        from preprocess.masks.grabcut import GrabCutMatting
 
         return GrabCutMatting()
     path = Path(wanted)
@@ -147,25 +148,3 @@ def steadied(now: _Seen, others: list[_Seen]) -> Float[np.ndarray, "h w"]:
         total += share * other.coverage
         weight += share
     return total / weight
-
-
-def to_mask(coverage: Float[np.ndarray, "h w"], width: int, height: int) -> UInt8[np.ndarray, "H W"]:
-    """Coverage in [0, 1] as 8-bit mask of the wanted size."""
-    if coverage.shape != (height, width):
-        coverage = cv2.resize(coverage, (width, height), interpolation=cv2.INTER_LINEAR)
-    return np.round(np.clip(coverage, 0, 1) * 255).astype(np.uint8)
-
-
-def only_person(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
-    """The mask without anything that is not connected to its largest part, and without small holes in it."""
-    labels = cv2.connectedComponents((mask > 16).astype(np.uint8))[1]
-    areas = np.bincount(labels.ravel())
-    if len(areas) <= 1:
-        return mask
-    kept = mask * (labels == 1 + int(np.argmax(areas[1:])))
-    holes = cv2.connectedComponents((kept <= 127).astype(np.uint8), connectivity=4)[1]
-    small = np.bincount(holes.ravel()) < mask.size // 2000
-    small[0] = False
-    if small.any():
-        kept[np.take(small, holes)] = 255
-    return kept

@@ -1,0 +1,1 @@
+"""Foreground masks: networks, GrabCut, masks made elsewhere."""
