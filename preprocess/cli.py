@@ -41,7 +41,7 @@ def _dashed_paths(arguments: Sequence[str]) -> list[str]:
 
 def _description() -> str:
     """What the help page says first."""
-    from preprocess.importing import importer_names
+    from preprocess.formats.registry import importer_names
 
     return (
         "Make a capture from a portrait video: frames, crop, masks, tracking, and a check of all of it.\n\n"

@@ -11,10 +11,10 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import in_order
-from preprocess.importing import SWAPPED_SIZE, read_foreign
+from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
+from preprocess.formats.tracking_record import ForeignTracking
 from preprocess.options import PrepOptions
 from preprocess.read_stage import selection_of
-from preprocess.record import ForeignTracking
 from preprocess.stage import Job, Stage, file_state
 from preprocess.video.crop import Crop, explicit, rectangle, square, square_around, whole_frame
 from preprocess.video.frame import DecodedFrame

@@ -21,8 +21,8 @@ from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_axis_an
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg, write_png
-from preprocess.importers import metrical_tracker, vhap
-from preprocess.record import FLAME_JOINTS, ForeignTracking
+from preprocess.formats.importers import metrical_tracker, vhap
+from preprocess.formats.tracking_record import FLAME_JOINTS, ForeignTracking
 from preprocess.video.crop import Crop
 
 FLASH_AVATAR_SIDE = 512

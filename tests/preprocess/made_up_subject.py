@@ -13,9 +13,9 @@ from ggavatar.data.capture import Tracking
 from ggavatar.head.files import save_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_png
-from preprocess.importers import metrical_tracker
+from preprocess.formats.importers import metrical_tracker
+from preprocess.formats.tracking_record import ForeignTracking
 from preprocess.posing import posed_vertices, project, silhouette
-from preprocess.record import ForeignTracking
 
 
 def ball_head(version: str = "ball-1", expressions: int = 4) -> HeadModel:

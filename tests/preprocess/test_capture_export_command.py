@@ -14,9 +14,9 @@ from ggavatar.data.capture import Capture
 from ggavatar.formats.capture_layouts import capture_formats
 from preprocess import export as exporters
 from preprocess.cli import main as prepare
-from preprocess.importers import metrical_tracker, vhap
+from preprocess.formats.importers import metrical_tracker, vhap
+from preprocess.formats.tracking_record import ForeignTracking
 from preprocess.posing import posed_vertices, project
-from preprocess.record import ForeignTracking
 
 
 @pytest.fixture(scope="module")

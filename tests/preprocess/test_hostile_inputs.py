@@ -20,7 +20,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_jpeg, write_png
 from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npz
-from preprocess.importing import importer, importer_names
+from preprocess.formats.registry import importer, importer_names
 from preprocess.video.sources import open_source
 
 COUNT = int(os.environ.get("GGAVATAR_MUTATIONS", "60"))

@@ -12,8 +12,8 @@ from made_up_subject import as_tracking, ball_head, moving_record, weak_perspect
 
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
-from preprocess.importers import deca, imavatar, metrical_tracker, nerface, nerfblendshape, vhap
-from preprocess.importing import detect_format, importer, importer_names
+from preprocess.formats.importers import deca, imavatar, metrical_tracker, nerface, nerfblendshape, vhap
+from preprocess.formats.registry import detect_format, importer, importer_names
 from preprocess.options import PrepOptions
 from preprocess.posing import posed_vertices, project
 
@@ -197,7 +197,7 @@ def test_own_spaces_say_so(tmp_path):
 def test_real_nerf_poses_are_rigid_and_in_front(data_folder):
     """AD-NeRF's file has NeRFBlendShape's cameras; coefficients are added to make the format complete."""
     source = json.loads((data_folder / "tracking" / "adnerf_transforms_val.json").read_text())
-    from preprocess.foreign_json import camera_to_world_gl
+    from preprocess.formats.json_fields import camera_to_world_gl
 
     for frame in source["frames"][::50]:
         pose = camera_to_world_gl(np.array(frame["transform_matrix"]))
@@ -240,7 +240,7 @@ def test_nan_names_the_frame(tmp_path):
 
 
 def test_options_swap_the_size(tmp_path):
-    from preprocess.importing import read_foreign
+    from preprocess.formats.registry import read_foreign
 
     folder = written("metrical_tracker", tmp_path, moving_record(2, (128, 96)))
     options = PrepOptions(tmp_path, tmp_path / "o", tracking=folder, fix=("swapped-size",))

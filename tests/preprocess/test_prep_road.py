@@ -16,7 +16,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from preprocess.cli import main
-from preprocess.importers import metrical_tracker
+from preprocess.formats.importers import metrical_tracker
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ggavatar" / "head"))
 

@@ -17,7 +17,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npz, write_npz
-from preprocess.foreign_json import (
+from preprocess.formats.json_fields import (  # fmt: skip
     array,
     camera_matrix,
     camera_to_world_gl,
@@ -26,8 +26,8 @@ from preprocess.foreign_json import (
     inside,
     number,
     world_to_camera_gl,
-)  # fmt: skip
-from preprocess.record import ForeignTracking, require_finite, stacked
+)
+from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
 
 TITLE = "VHAP export / GaussianAvatars: transforms.json with flame_param/%05d.npz"
 _KEYS = (

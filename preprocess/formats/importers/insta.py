@@ -23,8 +23,17 @@ from ggavatar.geometry.transforms import (
 )
 from ggavatar.io.atomic import write_text
 from ggavatar.io.json_files import read_json
-from preprocess.foreign_json import array, camera_matrix, frame_list, image_size, inside, invert, last_number, number
-from preprocess.record import ForeignTracking, require_finite, stacked
+from preprocess.formats.json_fields import (
+    array,
+    camera_matrix,
+    frame_list,
+    image_size,
+    inside,
+    invert,
+    last_number,
+    number,
+)
+from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
 
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 

@@ -8,10 +8,10 @@ import pkgutil
 from pathlib import Path
 from typing import Protocol, cast, runtime_checkable
 
-import preprocess.importers
+import preprocess.formats.importers
 from ggavatar.errors import InputError
+from preprocess.formats.tracking_record import ForeignTracking
 from preprocess.options import PrepOptions
-from preprocess.record import ForeignTracking
 
 SWAPPED_SIZE = "swapped-size"
 """The `--fix` that must be applied before the crop is chosen."""
@@ -38,7 +38,7 @@ class Importer(Protocol):
 
 def importer_names() -> list[str]:
     """Names of all formats."""
-    return sorted(module.name for module in pkgutil.iter_modules(preprocess.importers.__path__))
+    return sorted(module.name for module in pkgutil.iter_modules(preprocess.formats.importers.__path__))
 
 
 def importer(name: str) -> Importer:
@@ -47,7 +47,7 @@ def importer(name: str) -> Importer:
     wanted = name.replace("-", "_")
     if wanted not in names:
         raise InputError(f"--format {name}: expected auto or one of {', '.join(names)}")
-    return cast(Importer, importlib.import_module(f"preprocess.importers.{wanted}"))
+    return cast(Importer, importlib.import_module(f"preprocess.formats.importers.{wanted}"))
 
 
 def detect_format(folder: Path) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from ggavatar.data.capture_schema import check_tracking, read_tracking
 from ggavatar.errors import InputError
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.formats.tracking_record import ForeignTracking, require_finite
 
 TITLE = (
     "plain npz: intrinsics, world_to_camera, expression, joint_rotations, eyelids, translation, frames, width, height"

@@ -22,7 +22,7 @@ from ggavatar.geometry.transforms import (
     rotation_6d_to_matrix,
 )
 from ggavatar.io.restricted_pickle import read_pickle
-from preprocess.record import ForeignTracking, require_finite, stacked
+from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
 
 TITLE = "metrical-tracker: folder of %05d.frame"
 _NAME = re.compile(r"^(\d{1,9})\.frame$")

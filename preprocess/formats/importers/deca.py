@@ -14,8 +14,8 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.npz import read_npz, write_npz
-from preprocess.foreign_json import camera_matrix, last_number
-from preprocess.record import ForeignTracking, require_finite, stacked
+from preprocess.formats.json_fields import camera_matrix, last_number
+from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
 
 TITLE = "DECA / EMOCA / SMIRK codes: NAME.npz or NAME/{shape,exp,pose,cam}.npy"
 SIDE = 224

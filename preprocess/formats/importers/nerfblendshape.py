@@ -14,7 +14,7 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.json_files import read_json
-from preprocess.foreign_json import (
+from preprocess.formats.json_fields import (
     array,
     camera_matrix,
     camera_to_world_gl,
@@ -23,7 +23,7 @@ from preprocess.foreign_json import (
     number,
     world_to_camera_gl,
 )
-from preprocess.record import ForeignTracking, require_finite
+from preprocess.formats.tracking_record import ForeignTracking, require_finite
 
 TITLE = "NeRFBlendShape: transforms.json with exp_ori (not FLAME)"
 

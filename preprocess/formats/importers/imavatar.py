@@ -17,8 +17,8 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.images import picture_header
 from ggavatar.io.json_files import read_json
-from preprocess.foreign_json import array, camera_matrix, frame_list, last_number
-from preprocess.record import ForeignTracking, require_finite, stacked
+from preprocess.formats.json_fields import array, camera_matrix, frame_list, last_number
+from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
 
 TITLE = "IMavatar / PointAvatar / MonoGaussianAvatar: flame_params.json"
 SCALE = 4.0

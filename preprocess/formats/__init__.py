@@ -1,0 +1,1 @@
+"""Other trackers' output, read into our conventions."""
