@@ -62,8 +62,8 @@ def _check(options: Options) -> None:
 
 def _write(options: Options) -> None:
     _check(options)
-    from preprocess.subject.demo import Settings, write_demo
-    from preprocess.subject.output import claim
+    from preprocess.synthetic.demo import Settings, write_demo
+    from preprocess.synthetic.output_folder import claim
 
     claim(options.output_dir, overwrite=options.overwrite)
     values = asdict(options)

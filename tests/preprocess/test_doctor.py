@@ -22,7 +22,7 @@ from preprocess.doctor_cli import main as doctor
 from preprocess.evidence import rather_late
 from preprocess.hypotheses import AXES, FIXES, apply_fixes
 from preprocess.letterbox import black_bars, cut_off
-from preprocess.subject.demo import Settings, write_demo
+from preprocess.synthetic.demo import Settings, write_demo
 
 SIZE, FRAMES = 128, 56
 

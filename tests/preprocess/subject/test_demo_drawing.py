@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from ggavatar.head.procedural.model import procedural_head
-from preprocess.subject.backdrop import backdrop
-from preprocess.subject.hair_motion import lagging_poses, swung
-from preprocess.subject.light import lamps, shadow_map, sky_share
-from preprocess.subject.mesh_renderer import rasterize, vertex_normals
-from preprocess.subject.motion import FPS
-from preprocess.subject.person import PEOPLE
-from preprocess.subject.strand_renderer import Strands, draw_strands
-from preprocess.subject.subdivision import subdivide
-from preprocess.subject.texture_space import to_linear, to_srgb
-from preprocess.subject.wrinkles import BULGES, FOLDS, strength
+from preprocess.synthetic.animation.hair_motion import lagging_poses, swung
+from preprocess.synthetic.animation.motion import FPS
+from preprocess.synthetic.person.description import PEOPLE
+from preprocess.synthetic.person.subdivision import subdivide
+from preprocess.synthetic.person.texture_space import to_linear, to_srgb
+from preprocess.synthetic.person.wrinkles import BULGES, FOLDS, strength
+from preprocess.synthetic.rendering.backdrop import backdrop
+from preprocess.synthetic.rendering.lights import lamps, shadow_map, sky_share
+from preprocess.synthetic.rendering.mesh import rasterize, vertex_normals
+from preprocess.synthetic.rendering.strands import Strands, draw_strands
 
 SQUARE = np.array([(8.0, 8, 1), (24, 8, 1), (24, 24, 1), (8, 24, 1)])
 TWO = np.array([(0, 1, 2), (0, 2, 3)])

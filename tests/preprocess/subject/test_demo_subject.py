@@ -16,12 +16,13 @@ from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import rotation_6d_to_matrix
 from ggavatar.head.files import load_head
 from ggavatar.head.procedural.model import procedural_names
-from preprocess.subject import cli, room
-from preprocess.subject.demo import Settings, true_tracking, write_demo
-from preprocess.subject.frame_writer import disturbed, frame_record
-from preprocess.subject.mesh_renderer import project, rasterize
-from preprocess.subject.motion import GESTURES, VISEMES, Motion, perform
-from preprocess.subject.output import claim
+from preprocess.synthetic import cli
+from preprocess.synthetic.animation.motion import GESTURES, VISEMES, Motion, perform
+from preprocess.synthetic.demo import Settings, true_tracking, write_demo
+from preprocess.synthetic.output_folder import claim
+from preprocess.synthetic.rendering import room
+from preprocess.synthetic.rendering.mesh import project, rasterize
+from preprocess.synthetic.tracker_files import disturbed, frame_record
 
 NAMES = procedural_names()[0]
 SETTINGS = Settings(identity=1, frames=3, size=64, noise=0.0, background="plain", seed=4)

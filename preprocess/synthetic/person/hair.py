@@ -15,9 +15,9 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from ggavatar.head.procedural.surface import CHEEKS, JAW, NECK, SKULL, Blob, skin_distance
-from preprocess.subject.person import Hair
-from preprocess.subject.skin_paint import scalp_share
-from preprocess.subject.texture_space import noise
+from preprocess.synthetic.person.description import Hair
+from preprocess.synthetic.person.skin_paint import scalp_share
+from preprocess.synthetic.person.texture_space import noise
 
 NODES = 14
 _SHOULDERS = (

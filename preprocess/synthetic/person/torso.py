@@ -10,8 +10,8 @@ from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 
 from ggavatar.head.procedural.parts import grid_faces
-from preprocess.subject.person import Garment
-from preprocess.subject.texture_space import noise, to_linear
+from preprocess.synthetic.person.description import Garment
+from preprocess.synthetic.person.texture_space import noise, to_linear
 
 _AROUND, _LEVELS, _CENTER_Z = 96, 56, -0.054
 _KNOTS = np.array([0.0, 0.05, 0.10, 0.22, 0.36, 0.48, 0.60, 0.72, 0.86, 1.0])

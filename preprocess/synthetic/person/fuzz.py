@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from preprocess.subject.hair import scatter
-from preprocess.subject.person import Person
-from preprocess.subject.skin_paint import beard_share, brow_share
-from preprocess.subject.texture_space import bump, noise, to_linear
+from preprocess.synthetic.person.description import Person
+from preprocess.synthetic.person.hair import scatter
+from preprocess.synthetic.person.skin_paint import beard_share, brow_share
+from preprocess.synthetic.person.texture_space import bump, noise, to_linear
 
 NODES = 5
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from preprocess.subject.fuzz import NODES, Fuzz, attach, tones
-from preprocess.subject.person import Person
+from preprocess.synthetic.person.description import Person
+from preprocess.synthetic.person.fuzz import NODES, Fuzz, attach, tones
 
 _UPPER, _LOWER = 6, 3
 

@@ -12,18 +12,18 @@ from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.identity import warp_points
 from ggavatar.head.procedural.model import procedural_head, procedural_names
 from ggavatar.head.procedural.parts import Part
-from preprocess.subject.accessories import beanie, glasses_frame, lenses
-from preprocess.subject.fuzz import Fuzz, beard, brows
-from preprocess.subject.hair import Groom, grow, scalp_density, scatter
-from preprocess.subject.lashes import lashes
-from preprocess.subject.light import sky_share
-from preprocess.subject.mesh_renderer import vertex_normals
-from preprocess.subject.person import PEOPLE, Person
-from preprocess.subject.skin_paint import paint_head, paint_relief
-from preprocess.subject.subdivision import Subdivision, subdivide
-from preprocess.subject.texture_space import Texels, locate, noise, to_linear
-from preprocess.subject.torso import build_torso, paint_garment
-from preprocess.subject.wrinkles import Patch, bulge_fields, patches
+from preprocess.synthetic.person.accessories import beanie, glasses_frame, lenses
+from preprocess.synthetic.person.description import PEOPLE, Person
+from preprocess.synthetic.person.fuzz import Fuzz, beard, brows
+from preprocess.synthetic.person.hair import Groom, grow, scalp_density, scatter
+from preprocess.synthetic.person.lashes import lashes
+from preprocess.synthetic.person.skin_paint import paint_head, paint_relief
+from preprocess.synthetic.person.subdivision import Subdivision, subdivide
+from preprocess.synthetic.person.texture_space import Texels, locate, noise, to_linear
+from preprocess.synthetic.person.torso import build_torso, paint_garment
+from preprocess.synthetic.person.wrinkles import Patch, bulge_fields, patches
+from preprocess.synthetic.rendering.lights import sky_share
+from preprocess.synthetic.rendering.mesh import vertex_normals
 
 TEXTURE = 1024
 SKIN, EYE, MOUTH, LIPS, CLOTH, HAT, FRAME, LENS = range(8)

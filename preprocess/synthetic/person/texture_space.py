@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from preprocess.subject.mesh_renderer import rasterize
+from preprocess.synthetic.rendering.mesh import rasterize
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from ggavatar.jit.kernels import kernel
-from preprocess.subject.shading import Lights, Shadow, shadowed
+from preprocess.synthetic.rendering.shading import Lights, Shadow, shadowed
 
 
 def strand_colors(

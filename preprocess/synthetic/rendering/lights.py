@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from preprocess.subject import room
-from preprocess.subject.mesh_renderer import rasterize
-from preprocess.subject.shading import Lights, Shadow
+from preprocess.synthetic.rendering import room
+from preprocess.synthetic.rendering.mesh import rasterize
+from preprocess.synthetic.rendering.shading import Lights, Shadow
 
 _SHADOW_SIZE, _SHADOW_SPAN = 704, 0.56
 _SHADOW_CENTER = np.array([0.0, -0.03, -0.02])

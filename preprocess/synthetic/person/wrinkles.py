@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from preprocess.subject.texture_space import Texels, bump, noise, step
+from preprocess.synthetic.person.texture_space import Texels, bump, noise, step
 
 Point = tuple[float, float]
 

@@ -8,19 +8,19 @@ from numpy import ndarray
 
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
-from preprocess.subject import room
-from preprocess.subject.backdrop import backdrop
-from preprocess.subject.character import LENS, MOUTH, Character, build_character
-from preprocess.subject.hair_light import strand_colors
-from preprocess.subject.hair_motion import lagging_poses, swung
-from preprocess.subject.light import lamps, shadow_map
-from preprocess.subject.mesh_renderer import project, rasterize, vertex_normals
-from preprocess.subject.motion import Motion
-from preprocess.subject.performance import Pose, pose, sticky_lips
-from preprocess.subject.shading import Look, Mesh, Shadow, shade
-from preprocess.subject.strand_renderer import Strands, draw_strands
-from preprocess.subject.texture_space import to_linear, to_srgb
-from preprocess.subject.wrinkles import add_folds
+from preprocess.synthetic.animation.hair_motion import lagging_poses, swung
+from preprocess.synthetic.animation.motion import Motion
+from preprocess.synthetic.animation.performance import Pose, pose, sticky_lips
+from preprocess.synthetic.person.character import LENS, MOUTH, Character, build_character
+from preprocess.synthetic.person.texture_space import to_linear, to_srgb
+from preprocess.synthetic.person.wrinkles import add_folds
+from preprocess.synthetic.rendering import room
+from preprocess.synthetic.rendering.backdrop import backdrop
+from preprocess.synthetic.rendering.hair_shading import strand_colors
+from preprocess.synthetic.rendering.lights import lamps, shadow_map
+from preprocess.synthetic.rendering.mesh import project, rasterize, vertex_normals
+from preprocess.synthetic.rendering.shading import Look, Mesh, Shadow, shade
+from preprocess.synthetic.rendering.strands import Strands, draw_strands
 
 _FINER = 2
 _EXPOSURE = 1.0

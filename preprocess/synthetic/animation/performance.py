@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.expression import lower_share
 from ggavatar.head.procedural.model import procedural_names
-from preprocess.subject.character import Character
-from preprocess.subject.motion import Motion
-from preprocess.subject.texture_space import step
-from preprocess.subject.wrinkles import bulge_strengths
+from preprocess.synthetic.animation.motion import Motion
+from preprocess.synthetic.person.character import Character
+from preprocess.synthetic.person.texture_space import step
+from preprocess.synthetic.person.wrinkles import bulge_strengths
 
 _STUCK, _FREE = 0.0004, 0.0030
 

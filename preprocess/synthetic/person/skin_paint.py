@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
 from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS
-from preprocess.subject.person import Person
-from preprocess.subject.texture_space import Texels, bump, noise, step
+from preprocess.synthetic.person.description import Person
+from preprocess.synthetic.person.texture_space import Texels, bump, noise, step
 
 _IRIS_ANGLE, _PUPIL_ANGLE = 0.475, 0.175
 # x at which the front teeth meet, m; the arch is almost flat there.

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
-from preprocess.subject.motion import FPS
+from preprocess.synthetic.animation.motion import FPS
 
 BANDS = (1.5, 2.3, 3.4)
 _DAMPING, _STEPS = 0.32, 8

@@ -12,11 +12,11 @@ from numpy import ndarray
 from ggavatar.head.files import save_head
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.jit.threads import run
-from preprocess.subject import room
-from preprocess.subject.frame_writer import Tracking, disturbed, frame_record, write_frame
-from preprocess.subject.motion import FPS, Motion, perform
-from preprocess.subject.output import DemoFolder, write_manifest
-from preprocess.subject.studio import Studio
+from preprocess.synthetic.animation.motion import FPS, Motion, perform
+from preprocess.synthetic.output_folder import DemoFolder, write_manifest
+from preprocess.synthetic.rendering import room
+from preprocess.synthetic.studio import Studio
+from preprocess.synthetic.tracker_files import Tracking, disturbed, frame_record, write_frame
 
 _BATCH = 8
 

@@ -1,0 +1,1 @@
+"""What the generated person does in front of the camera."""

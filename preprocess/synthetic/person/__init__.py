@@ -1,0 +1,1 @@
+"""What the generated person looks like."""

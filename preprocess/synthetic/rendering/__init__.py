@@ -1,0 +1,1 @@
+"""Drawing the generated person: meshes, strands, light."""
