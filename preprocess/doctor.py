@@ -19,8 +19,8 @@ from preprocess.hypotheses import AXES, EYES, OTHERS
 from preprocess.letterbox import black_bars, cut_off
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
-from preprocess.posing import one_torch_thread
 from preprocess.stage import Job, Stage
+from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
 LOW_OVERLAP = 0.5

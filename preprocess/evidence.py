@@ -15,7 +15,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
 from preprocess.hypotheses import AXES, OTHERS, Hypothesis
 from preprocess.pairing import find_offset, picture_change
-from preprocess.posing import overlap, posed_vertices, project, silhouette
+from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
 
 SIDE = 128
 FRAMES = 12

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ggavatar.data.capture import Capture
-from preprocess.rigid import spread_evenly
+from preprocess.tracking.geometry.rigid import spread_evenly
 
 FRAMES = 9
 DARK = 20

@@ -19,7 +19,7 @@ from ggavatar.data.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
-from preprocess.posing import posed_vertices, project
+from preprocess.tracking.geometry.projection import posed_vertices, project
 
 PAIRS = 120
 """How many pairs of frames are compared, those between which the head moves most."""

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int, UInt8
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
-from preprocess.posing import posed_vertices, project
+from preprocess.tracking.geometry.projection import posed_vertices, project
 
 BLURRED = 0.3
 """A frame is blurred if its sharpness falls below this part of the clip's median."""

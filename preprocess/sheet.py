@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg
-from preprocess.posing import posed_vertices, project
+from preprocess.tracking.geometry.projection import posed_vertices, project
 
 COLUMNS, SIDE = 8, 256
 LIGHT = np.array([0.3, 0.5, 0.81])

@@ -20,10 +20,10 @@ from preprocess.formats.tracking_record import FLAME_JOINTS, ForeignTracking
 from preprocess.hypotheses import apply_fixes
 from preprocess.options import PrepOptions
 from preprocess.pairing import find_offset
-from preprocess.posing import one_torch_thread
-from preprocess.sequence import TrackedSequence
 from preprocess.stage import Job, Stage, file_state
-from preprocess.torso import followed_torso
+from preprocess.tracking.geometry.projection import one_torch_thread
+from preprocess.tracking.sequence import TrackedSequence
+from preprocess.tracking.torso.torso import followed_torso
 from preprocess.video.crop import crop_from_json
 
 
@@ -57,7 +57,7 @@ def run(job: Job) -> Mapping[str, Any]:
 
 def _tracked(job: Job, numbers: list[int]) -> TrackedSequence:
     """Our own tracker, reading one image at a time."""
-    from preprocess.tracking import track
+    from preprocess.tracking.tracker import track
 
     images = PicturesOnDisk(job, "images", numbers, read_rgb)
     masks = PicturesOnDisk(job, "masks", numbers, read_grey)

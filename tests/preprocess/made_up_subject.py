@@ -15,7 +15,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_png
 from preprocess.formats.importers import metrical_tracker
 from preprocess.formats.tracking_record import ForeignTracking
-from preprocess.posing import posed_vertices, project, silhouette
+from preprocess.tracking.geometry.projection import posed_vertices, project, silhouette
 
 
 def ball_head(version: str = "ball-1", expressions: int = 4) -> HeadModel:

@@ -16,7 +16,7 @@ from preprocess import export as exporters
 from preprocess.cli import main as prepare
 from preprocess.formats.importers import metrical_tracker, vhap
 from preprocess.formats.tracking_record import ForeignTracking
-from preprocess.posing import posed_vertices, project
+from preprocess.tracking.geometry.projection import posed_vertices, project
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from preprocess import export
 from preprocess.cli import main
 from preprocess.export import centred, export_flash_avatar, export_gaussian_avatars, posed_by_camera, posed_by_flame
 from preprocess.formats.importers import metrical_tracker, vhap
-from preprocess.posing import posed_vertices, project
+from preprocess.tracking.geometry.projection import posed_vertices, project
 
 
 @pytest.fixture(scope="module")

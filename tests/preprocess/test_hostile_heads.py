@@ -21,7 +21,7 @@ from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
-from preprocess.flame_fit import EMBEDDING_FILE, read_embedding
+from preprocess.tracking.face.flame_fit import EMBEDDING_FILE, read_embedding
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ggavatar"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "ggavatar" / "head"))

@@ -15,7 +15,7 @@ from ggavatar.io.images import write_png
 from preprocess.formats.importers import deca, imavatar, metrical_tracker, nerface, nerfblendshape, vhap
 from preprocess.formats.registry import detect_format, importer, importer_names
 from preprocess.options import PrepOptions
-from preprocess.posing import posed_vertices, project
+from preprocess.tracking.geometry.projection import posed_vertices, project
 
 FLAME_FORMATS = ["imavatar", "insta", "metrical_tracker", "npz", "vhap"]
 OWN_SPACE = ["nerface", "nerfblendshape"]

@@ -9,7 +9,7 @@ import pytest
 
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
-from preprocess.face_embedding import Embedding
+from preprocess.tracking.geometry.landmark_embedding import Embedding
 
 
 @pytest.fixture(scope="session")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from preprocess import adjustment
-from preprocess.adjustment import Adjusted, ShapePrior, adjust, prior_focal
-from preprocess.rigid import Lens, Observations, Poses, initial_poses, project
+from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, initial_poses, project
+from preprocess.tracking.pose import bundle_adjustment
+from preprocess.tracking.pose.bundle_adjustment import Adjusted, ShapePrior, adjust, prior_focal
 
 
 @pytest.mark.parametrize("focal", [800.0, 1300.0])
@@ -31,7 +31,7 @@ def test_recovers_focal_length_shape_and_poses_of_a_turning_head(stand_in, focal
     turned = Rotation.from_matrix(found.poses.rotations.transpose(0, 2, 1) @ true.rotations)
     apart = turned * turned.mean().inv()
     assert np.degrees(apart.magnitude()).max() < 1.0
-    assert 0 < found.focal_spread < adjustment.DISTANCE_SPREAD
+    assert 0 < found.focal_spread < bundle_adjustment.DISTANCE_SPREAD
 
 
 def test_without_evidence_the_prior_decides(stand_in) -> None:
@@ -51,4 +51,4 @@ def test_without_evidence_the_prior_decides(stand_in) -> None:
 
 def test_prior_focal_puts_the_face_at_the_typical_distance() -> None:
     poses = Poses(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 2.0], [0, 0, 2.2], [0, 0, 2.4]]))
-    assert prior_focal(poses, Lens(2200.0, (0.0, 0.0))) == pytest.approx(1000.0 * adjustment.TYPICAL_DISTANCE)
+    assert prior_focal(poses, Lens(2200.0, (0.0, 0.0))) == pytest.approx(1000.0 * bundle_adjustment.TYPICAL_DISTANCE)

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
-from preprocess.expression_axes import AXES, axis_scores, generic_mixture
-from preprocess.expression_basis import (
+from preprocess.tracking.face.expression_basis import (
     PAIRS,
     Camera,
     Expectation,
@@ -21,9 +20,10 @@ from preprocess.expression_basis import (
     regress,
     symmetric,
 )
-from preprocess.face_model import FaceModel, FaceMotion
-from preprocess.rigid import Lens, Observations, Poses, project
-from preprocess.tracking import closing
+from preprocess.tracking.geometry.landmark_model import FaceModel, FaceMotion
+from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, project
+from preprocess.tracking.head.expression_axes import AXES, axis_scores, generic_mixture
+from preprocess.tracking.tracker import closing
 
 FRAMES, POINTS, COUNT = 90, 40, 3
 

@@ -14,14 +14,20 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
 from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis
-from preprocess.clip_fit import Clip, FoundCamera
-from preprocess.expression_basis import Camera
-from preprocess.face_model import FaceModel
-from preprocess.flame_fit import EMBEDDING_FILE, FlameLandmarks, fit_flame, flame_landmarks, read_embedding
-from preprocess.flame_tracking import track_flame
 from preprocess.options import TrackingOptions
 from preprocess.quality import landmark_error
-from preprocess.rigid import Lens, Poses, project
+from preprocess.tracking.face.clip_fit import Clip, FoundCamera
+from preprocess.tracking.face.expression_basis import Camera
+from preprocess.tracking.face.flame_fit import (
+    EMBEDDING_FILE,
+    FlameLandmarks,
+    fit_flame,
+    flame_landmarks,
+    read_embedding,
+)
+from preprocess.tracking.flame_tracker import track_flame
+from preprocess.tracking.geometry.landmark_model import FaceModel
+from preprocess.tracking.geometry.rigid import Lens, Poses, project
 
 EXPRESSIONS = 44
 FRAMES = 24

@@ -13,11 +13,13 @@ from scipy.spatial.transform import Rotation
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
-from preprocess.face_embedding import boundary_loops, closest_points
-from preprocess.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
-from preprocess.rigid import Lens, Poses
-from preprocess.surface_extension import SurfaceExtension
-from preprocess.torso import (
+from preprocess.tracking.face.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
+from preprocess.tracking.geometry.landmark_embedding import boundary_loops, closest_points
+from preprocess.tracking.geometry.rigid import Lens, Poses
+from preprocess.tracking.geometry.surface_extension import SurfaceExtension
+from preprocess.tracking.head.personal_head import similarity
+from preprocess.tracking.torso.texture import TorsoTracker
+from preprocess.tracking.torso.torso import (
     STRETCHED,
     TorsoMotions,
     TorsoPivots,
@@ -25,8 +27,6 @@ from preprocess.torso import (
     neck_motion,
     torso_poses,
 )
-from preprocess.torso_texture import TorsoTracker
-from preprocess.tracked_head import similarity
 
 LENS = Lens(1000.0, (256.0, 256.0))
 FACING = Rotation.from_euler("x", 180, degrees=True)

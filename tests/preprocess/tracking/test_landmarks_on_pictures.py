@@ -13,7 +13,7 @@ from skimage.data import astronaut
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.detector import FaceDetector
 from ggavatar.landmarks.tracker import LandmarkTracker
-from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
+from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS
 
 RIGHT_EYE, LEFT_EYE = np.array([203.4, 101.2]), np.array([247.0, 103.2])
 """Where the portrait's eyes are, px, read off the picture."""
@@ -59,7 +59,7 @@ def test_the_tracker_on_a_dozen_real_frames(bundle: Path, data_folder: Path, tmp
     import av
 
     from preprocess.options import PrepOptions
-    from preprocess.tracking import track
+    from preprocess.tracking.tracker import track
 
     with av.open(str(data_folder / "clips" / "talk_450.mp4")) as video:
         frames = [frame.to_ndarray(format="rgb24") for frame, _ in zip(video.decode(video=0), range(60), strict=False)][

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from preprocess.outline_poses import DIRECTIONS, Edges, OutlineEvidence, Scalp, farthest, reduced_distances, sampled
-from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
-from preprocess.rigid import Lens, Observations, Poses, project
+from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, project
+from preprocess.tracking.pose.fusion import LandmarkEvidence, settle, trusted_landmarks
+from preprocess.tracking.pose.outline_cue import (
+    DIRECTIONS,
+    Edges,
+    OutlineEvidence,
+    Scalp,
+    farthest,
+    reduced_distances,
+    sampled,
+)
 
 SIZE = 512
 LENS = Lens(1000.0, (256.0, 256.0))

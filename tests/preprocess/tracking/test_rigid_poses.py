@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from preprocess.rigid import (
+from preprocess.tracking.geometry.rigid import (
     Lens,
     Observations,
     Poses,
@@ -18,7 +18,7 @@ from preprocess.rigid import (
     refine_poses,
     smooth_steps,
 )
-from preprocess.smoothing import jitter, penalty, pose_jitter, smooth
+from preprocess.tracking.geometry.smoothing import jitter, penalty, pose_jitter, smooth
 
 LENS = Lens(1000.0, (256.0, 256.0))
 

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.landmarks.average_face import drawn_face
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.face_topology import MESH_POINTS, anchoring, lids, rigidity
-from preprocess.hidden_nods import NoddingLandmarks, hidden_share, nods
-from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
-from preprocess.rigid import Lens, Observations, Poses, project
-from preprocess.skin_evidence import SkinEvidence, face_spots, usual
-from preprocess.skin_pictures import SIDE, STEPS, SkinPictures, skin_picture
+from preprocess.tracking.geometry.landmark_topology import MESH_POINTS, anchoring, lids, rigidity
+from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, project
+from preprocess.tracking.pose.fusion import LandmarkEvidence, settle, trusted_landmarks
+from preprocess.tracking.pose.landmark_nod_bias import NoddingLandmarks, hidden_share, nods
+from preprocess.tracking.pose.texture_cue import SkinEvidence, face_spots, usual
+from preprocess.tracking.pose.texture_images import SIDE, STEPS, SkinPictures, skin_picture
 
 SIZE, FRAMES = 256, 16
 LENS = Lens(1000.0, (128.0, 128.0))

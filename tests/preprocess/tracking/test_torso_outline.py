@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from preprocess.outline_poses import Edges, reduced_distances
-from preprocess.rigid import Lens, Poses
-from preprocess.torso import CHEST, TURNED, TorsoMotions, torso_motions, torso_poses
-from preprocess.torso_outline import outline_motions
+from preprocess.tracking.geometry.rigid import Lens, Poses
+from preprocess.tracking.pose.outline_cue import Edges, reduced_distances
+from preprocess.tracking.torso.outline import outline_motions
+from preprocess.tracking.torso.torso import CHEST, TURNED, TorsoMotions, torso_motions, torso_poses
 
 SIZE, FPS, FRAMES = 512, 25.0, 60
 FACES = np.tile([120.0, 330.0], (FRAMES, 1))

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
-from preprocess import face_topology as topology
-from preprocess.expression_axes import AXES
-from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.posing import posed_vertices, project, silhouette
-from preprocess.silhouette_fit import Outlines, fit_outline, outline_overlap
-from preprocess.tracked_head import NECK_UNIT, PersonalShape, assemble, fit_shape, lid_axes
+from preprocess.tracking.geometry import landmark_topology as topology
+from preprocess.tracking.geometry.projection import posed_vertices, project, silhouette
+from preprocess.tracking.head.expression_axes import AXES
+from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.tracking.head.personal_head import NECK_UNIT, PersonalShape, assemble, fit_shape, lid_axes
+from preprocess.tracking.head.silhouette_fit import Outlines, fit_outline, outline_overlap
 
 pytestmark = pytest.mark.weights
 

@@ -13,16 +13,22 @@ from scipy.spatial.transform import Rotation
 from ggavatar.landmarks.average_face import drawn_face
 from ggavatar.landmarks.networks import FaceFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
-from preprocess.clip_fit import Clip
-from preprocess.face_topology import LEFT_IRIS, LOWER_LIP_MARGIN, RIGHT_IRIS, UPPER_LIP_MARGIN, anchoring
-from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.options import PrepOptions
-from preprocess.outline_poses import WIDTH, Edges, reduced_distances
-from preprocess.silhouette_fit import Outlines
-from preprocess.skin_pictures import SkinPictures, skin_picture
-from preprocess.torso import TorsoMotions
-from preprocess.tracking import track_landmarks
-from preprocess.watching import Watched
+from preprocess.tracking.face.clip_fit import Clip
+from preprocess.tracking.geometry.landmark_topology import (
+    LEFT_IRIS,
+    LOWER_LIP_MARGIN,
+    RIGHT_IRIS,
+    UPPER_LIP_MARGIN,
+    anchoring,
+)
+from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.tracking.head.silhouette_fit import Outlines
+from preprocess.tracking.observations import Watched
+from preprocess.tracking.pose.outline_cue import WIDTH, Edges, reduced_distances
+from preprocess.tracking.pose.texture_images import SkinPictures, skin_picture
+from preprocess.tracking.torso.torso import TorsoMotions
+from preprocess.tracking.tracker import track_landmarks
 
 FRAMES, SIZE, FOCAL = 40, 512, 1100.0
 NOISE = 0.3

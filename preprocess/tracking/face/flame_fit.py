@@ -19,14 +19,21 @@ from ggavatar.head.flame import IDENTITY_COEFFICIENTS, load_flame
 from ggavatar.head.model import HeadModel
 from ggavatar.io.npz import read_npz
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.clip_fit import JAW_OPENING, OWN_ERROR, Clip, FoundCamera, resting_scores, strided
-from preprocess.expression_axes import score
-from preprocess.expression_basis import JAW_SPREAD, LID_SPREAD, Camera, Expectation, fit_motion
-from preprocess.face_embedding import Embedding, closest_points
-from preprocess.face_model import FaceModel, FaceMotion
-from preprocess.face_topology import lids, rigidity
-from preprocess.rigid import Observations, initial_poses, project, projection_slopes, refine_poses, robust_weights
-from preprocess.tracked_head import similarity
+from preprocess.tracking.face.clip_fit import JAW_OPENING, OWN_ERROR, Clip, FoundCamera, resting_scores, strided
+from preprocess.tracking.face.expression_basis import JAW_SPREAD, LID_SPREAD, Camera, Expectation, fit_motion
+from preprocess.tracking.geometry.landmark_embedding import Embedding, closest_points
+from preprocess.tracking.geometry.landmark_model import FaceModel, FaceMotion
+from preprocess.tracking.geometry.landmark_topology import lids, rigidity
+from preprocess.tracking.geometry.rigid import (
+    Observations,
+    initial_poses,
+    project,
+    projection_slopes,
+    refine_poses,
+    robust_weights,
+)
+from preprocess.tracking.head.expression_axes import score
+from preprocess.tracking.head.personal_head import similarity
 
 EMBEDDING_FILE = "mediapipe_landmark_embedding.npz"
 """Landmarks on FLAME's triangles, looked for beside the model (metrical-tracker and others ship it)."""

@@ -10,13 +10,13 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import in_order
 from ggavatar.landmarks.tracker import LandmarkTracker
-from preprocess.clip_fit import Clip
-from preprocess.outline_poses import Edges, reduced_distances
-from preprocess.rigid import nearest_true
-from preprocess.silhouette_fit import Outlines, chosen_rows, reduce_mask
-from preprocess.skin_pictures import SkinPictures, skin_picture
-from preprocess.torso import TorsoMotions, torso_motions
-from preprocess.torso_texture import TorsoTracker
+from preprocess.tracking.face.clip_fit import Clip
+from preprocess.tracking.geometry.rigid import nearest_true
+from preprocess.tracking.head.silhouette_fit import Outlines, chosen_rows, reduce_mask
+from preprocess.tracking.pose.outline_cue import Edges, reduced_distances
+from preprocess.tracking.pose.texture_images import SkinPictures, skin_picture
+from preprocess.tracking.torso.texture import TorsoTracker
+from preprocess.tracking.torso.torso import TorsoMotions, torso_motions
 
 ENOUGH_FRAMES = 8
 

@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from preprocess.rigid import Lens, Observations, Poses, pose_slopes, project, projection_slopes, robust_weights
+from preprocess.tracking.geometry.rigid import (
+    Lens,
+    Observations,
+    Poses,
+    pose_slopes,
+    project,
+    projection_slopes,
+    robust_weights,
+)
 
 TYPICAL_DISTANCE = 1.0
 """Median distance of the prior between camera and face, m."""

@@ -10,14 +10,14 @@ from ggavatar.data.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.flame import is_flame, load_flame
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.clip_fit import Clip, find_camera
-from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS
-from preprocess.flame_fit import FlameFit, fit_flame, read_flame
-from preprocess.gaze import CLOSED, conjugate, eye_turns
 from preprocess.options import TrackingOptions
-from preprocess.sequence import TrackedSequence
-from preprocess.smoothing import penalty, pose_jitter, smooth
-from preprocess.tracked_head import EYEBALL_RADIUS
+from preprocess.tracking.face.clip_fit import Clip, find_camera
+from preprocess.tracking.face.flame_fit import FlameFit, fit_flame, read_flame
+from preprocess.tracking.face.gaze import CLOSED, conjugate, eye_turns
+from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS
+from preprocess.tracking.geometry.smoothing import penalty, pose_jitter, smooth
+from preprocess.tracking.head.personal_head import EYEBALL_RADIUS
+from preprocess.tracking.sequence import TrackedSequence
 
 CUTOFF = 6.0
 """Fastest motion of expression, jaw and lids that is kept, Hz."""

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.skin import slit_height
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess import face_topology as topology
+from preprocess.tracking.geometry import landmark_topology as topology
 
 ROUNDS = 4
 # Where the generic head has features whose place a smooth warp from the margins would miss, m: nose tip, subnasale,

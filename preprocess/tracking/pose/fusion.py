@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from preprocess.rigid import Lens, Observations, Poses, pose_information, smooth_steps
+from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, pose_information, smooth_steps
 
 LANDMARK_ERROR = 0.020
 """Of landmarks in a grimace, which err together, over the face's width."""

@@ -17,24 +17,24 @@ from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
 from ggavatar.landmarks.networks import FaceFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
 from ggavatar.pretrained import catalogue
-from preprocess.clip_fit import ClipFit, FoundCamera, find_camera, learn_face, reprojection
-from preprocess.expression_axes import AXES, score
-from preprocess.face_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
-from preprocess.flame_tracking import track_flame
-from preprocess.gaze import CLOSED, centered_eyes, conjugate, eye_turns
-from preprocess.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.hidden_nods import NoddingLandmarks, hidden_share
 from preprocess.options import PrepOptions, TrackingOptions
-from preprocess.outline_poses import OutlineEvidence, Scalp
-from preprocess.pose_evidence import LandmarkEvidence, settle, trusted_landmarks
-from preprocess.rigid import Poses
-from preprocess.sequence import TrackedSequence
-from preprocess.silhouette_fit import fit_outline, outline_overlap, vertex_normals
-from preprocess.skin_evidence import SkinEvidence, face_spots
-from preprocess.smoothing import penalty, pose_jitter, smooth
-from preprocess.torso import TorsoPivots, neck_motion, torso_poses
-from preprocess.tracked_head import NECK_UNIT, assemble, move_eyes
-from preprocess.watching import Watched, watch
+from preprocess.tracking.face.clip_fit import ClipFit, FoundCamera, find_camera, learn_face, reprojection
+from preprocess.tracking.face.gaze import CLOSED, centered_eyes, conjugate, eye_turns
+from preprocess.tracking.flame_tracker import track_flame
+from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
+from preprocess.tracking.geometry.rigid import Poses
+from preprocess.tracking.geometry.smoothing import penalty, pose_jitter, smooth
+from preprocess.tracking.head.expression_axes import AXES, score
+from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
+from preprocess.tracking.head.personal_head import NECK_UNIT, assemble, move_eyes
+from preprocess.tracking.head.silhouette_fit import fit_outline, outline_overlap, vertex_normals
+from preprocess.tracking.observations import Watched, watch
+from preprocess.tracking.pose.fusion import LandmarkEvidence, settle, trusted_landmarks
+from preprocess.tracking.pose.landmark_nod_bias import NoddingLandmarks, hidden_share
+from preprocess.tracking.pose.outline_cue import OutlineEvidence, Scalp
+from preprocess.tracking.pose.texture_cue import SkinEvidence, face_spots
+from preprocess.tracking.sequence import TrackedSequence
+from preprocess.tracking.torso.torso import TorsoPivots, neck_motion, torso_poses
 
 BLINK = 0.5
 """Score from which an eye counts as closed."""

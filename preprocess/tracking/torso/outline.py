@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from preprocess.outline_poses import STEPS, Edges, sampled
-from preprocess.rigid import robust_weights, solve_smooth
-from preprocess.smoothing import penalty
+from preprocess.tracking.geometry.rigid import robust_weights, solve_smooth
+from preprocess.tracking.geometry.smoothing import penalty
+from preprocess.tracking.pose.outline_cue import STEPS, Edges, sampled
 
 SIZE_ERROR = 0.01
 """Share by which a torso may come nearer; texture's own word on size is not heard, it was worse than none."""

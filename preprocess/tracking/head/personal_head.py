@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float
 
 from ggavatar.head.model import HeadModel
-from preprocess import face_topology as topology
-from preprocess.face_embedding import lip_loop
-from preprocess.generic_head import JOINT_NAMES, PARENTS, GenericHead
-from preprocess.surface_extension import SurfaceExtension
+from preprocess.tracking.geometry import landmark_topology as topology
+from preprocess.tracking.geometry.landmark_embedding import lip_loop
+from preprocess.tracking.geometry.surface_extension import SurfaceExtension
+from preprocess.tracking.head.generic_head import JOINT_NAMES, PARENTS, GenericHead
 
 VERSION = "tracked-2"
 NECK_UNIT = 0.01

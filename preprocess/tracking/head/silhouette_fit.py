@@ -18,10 +18,10 @@ from scipy.sparse import csr_array
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
-from preprocess.generic_head import GenericHead
-from preprocess.posing import overlap, posed_vertices, project, silhouette
-from preprocess.rigid import spread_evenly
-from preprocess.surface_extension import SurfaceExtension
+from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
+from preprocess.tracking.geometry.rigid import spread_evenly
+from preprocess.tracking.geometry.surface_extension import SurfaceExtension
+from preprocess.tracking.head.generic_head import GenericHead
 
 WIDTH = 192
 """Masks are compared at this width, px."""

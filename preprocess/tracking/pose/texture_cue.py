@@ -16,10 +16,18 @@ from scipy.spatial import Delaunay
 
 from ggavatar.io.ordered_map import in_order
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.adjustment import ShapePrior
-from preprocess.face_topology import LOWER_LIP_MARGIN, UPPER_LIP_MARGIN, lids, rigidity
-from preprocess.rigid import Lens, Poses, pose_slopes, project, projection_slopes, robust_weights, spread_evenly
-from preprocess.skin_pictures import SkinPictures
+from preprocess.tracking.geometry.landmark_topology import LOWER_LIP_MARGIN, UPPER_LIP_MARGIN, lids, rigidity
+from preprocess.tracking.geometry.rigid import (
+    Lens,
+    Poses,
+    pose_slopes,
+    project,
+    projection_slopes,
+    robust_weights,
+    spread_evenly,
+)
+from preprocess.tracking.pose.bundle_adjustment import ShapePrior
+from preprocess.tracking.pose.texture_images import SkinPictures
 
 CHUNK = 50
 SPACING = 0.012

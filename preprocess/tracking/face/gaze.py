@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from preprocess.rigid import Lens, Poses
-from preprocess.smoothing import penalty, smooth
+from preprocess.tracking.geometry.rigid import Lens, Poses
+from preprocess.tracking.geometry.smoothing import penalty, smooth
 
 IRIS_SHARE = 0.87
 """Distance of the iris from the eye's centre over the eyeball's radius."""

@@ -14,8 +14,8 @@ from scipy.sparse import csr_array
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.expression_axes import generic_mixture
-from preprocess.face_embedding import Embedding, boundary_loops, embed, skin_faces
+from preprocess.tracking.geometry.landmark_embedding import Embedding, boundary_loops, embed, skin_faces
+from preprocess.tracking.head.expression_axes import generic_mixture
 
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye", "cervical", "torso")
 PARENTS = (-1, 0, 1, 1, 1, 0, 5)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
-from preprocess.rigid import Poses, second_difference_stencil
+from preprocess.tracking.geometry.rigid import Poses, second_difference_stencil
 
 
 def penalty(cutoff: float, fps: float) -> float:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8, UInt8
 
-from preprocess.bilinear import bilinear
+from preprocess.tracking.geometry.bilinear import bilinear
 
 SIDE = 96
 """Side of the pictures, px of their own."""

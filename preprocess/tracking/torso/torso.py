@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
-from preprocess.outline_poses import Edges, reduced_distances
-from preprocess.posing import posed_vertices, project
-from preprocess.rigid import Lens, Poses
-from preprocess.smoothing import penalty, smooth
-from preprocess.torso_outline import outline_motions
-from preprocess.torso_texture import TorsoTracker
+from preprocess.tracking.geometry.projection import posed_vertices, project
+from preprocess.tracking.geometry.rigid import Lens, Poses
+from preprocess.tracking.geometry.smoothing import penalty, smooth
+from preprocess.tracking.pose.outline_cue import Edges, reduced_distances
+from preprocess.tracking.torso.outline import outline_motions
+from preprocess.tracking.torso.texture import TorsoTracker
 
 FOLLOWED = 0.6
 """Share of frames in which the torso must have been followed for its motion to be believed."""

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ggavatar.io.ordered_map import in_order
-from preprocess.face_model import JAW_DEGREES, FaceModel, FaceMotion
-from preprocess.rigid import Lens, Observations, Poses, project, projection_slopes, robust_weights
+from preprocess.tracking.geometry.landmark_model import JAW_DEGREES, FaceModel, FaceMotion
+from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, project, projection_slopes, robust_weights
 
 CHUNK = 64
 NAMED_SPREAD, LID_SPREAD, OWN_SPREAD, JAW_SPREAD = 0.25, 0.35, 1.0, 0.08

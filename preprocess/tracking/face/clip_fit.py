@@ -10,9 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.adjustment import Adjusted, ShapePrior, adjust, prior_focal
-from preprocess.expression_axes import AXES, axis_scores, score
-from preprocess.expression_basis import (
+from preprocess.tracking.face.expression_basis import (
     JAW_SPREAD,
     LID_SPREAD,
     NAMED_SPREAD,
@@ -25,10 +23,9 @@ from preprocess.expression_basis import (
     refine_axes,
     regress,
 )
-from preprocess.face_model import FaceModel, FaceMotion
-from preprocess.face_topology import MESH_POINTS, anchoring, rigidity
-from preprocess.generic_head import JOINT_NAMES, GenericHead
-from preprocess.rigid import (
+from preprocess.tracking.geometry.landmark_model import FaceModel, FaceMotion
+from preprocess.tracking.geometry.landmark_topology import MESH_POINTS, anchoring, rigidity
+from preprocess.tracking.geometry.rigid import (
     Lens,
     Observations,
     Poses,
@@ -38,8 +35,11 @@ from preprocess.rigid import (
     refine_poses,
     spread_evenly,
 )
-from preprocess.smoothing import penalty
-from preprocess.tracked_head import PersonalShape, fit_shape, lid_axes
+from preprocess.tracking.geometry.smoothing import penalty
+from preprocess.tracking.head.expression_axes import AXES, axis_scores, score
+from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead
+from preprocess.tracking.head.personal_head import PersonalShape, fit_shape, lid_axes
+from preprocess.tracking.pose.bundle_adjustment import Adjusted, ShapePrior, adjust, prior_focal
 
 FACE_WIDTH = 0.155
 """Width of the canonical face, m: the unit of landmark errors."""

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from preprocess.pose_evidence import LandmarkEvidence
-from preprocess.rigid import POSE, Poses
+from preprocess.tracking.geometry.rigid import POSE, Poses
+from preprocess.tracking.pose.fusion import LandmarkEvidence
 
 SAGITTAL = [0, 4, 5]
 """Steps of a pose that a nod is made of: the turn about the camera's x, and shifts along y and z."""

@@ -12,8 +12,16 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int8, UInt8
 
-from preprocess.bilinear import bilinear
-from preprocess.rigid import CHUNK, Lens, Poses, pose_slopes, project, projection_slopes, robust_weights
+from preprocess.tracking.geometry.bilinear import bilinear
+from preprocess.tracking.geometry.rigid import (
+    CHUNK,
+    Lens,
+    Poses,
+    pose_slopes,
+    project,
+    projection_slopes,
+    robust_weights,
+)
 
 WIDTH = 128
 """Masks are kept at this width, px."""

@@ -1,0 +1,1 @@
+"""Expressions, gaze and the shape of the face."""

@@ -1,0 +1,1 @@
+"""Projection, rigid motion, smoothing and the landmark model."""

@@ -1,0 +1,1 @@
+"""Head poses from several cues."""

@@ -1,0 +1,1 @@
+"""The torso, followed beside the head."""
