@@ -43,8 +43,8 @@ def _examine(options: DoctorOptions) -> int:
 
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
-    from preprocess.doctor import examine, write_report
-    from preprocess.sheet import write_preview
+    from preprocess.doctor.diagnosis import examine, write_report
+    from preprocess.doctor.preview import write_preview
     from preprocess.terminal import spoken
 
     capture = Capture.open(options.capture)

@@ -10,11 +10,12 @@ from typing import Any
 
 from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
-from preprocess import crop_stage, doctor, mask_stage, pack, read_stage, tracking_stage
+from preprocess import crop_stage, mask_stage, pack, read_stage, tracking_stage
+from preprocess.doctor import diagnosis
 from preprocess.options import PrepOptions
 from preprocess.stage import RECORDS, Job, Reporter, Stage, fingerprint, finished_result, was_interrupted, write_record
 
-STAGES = (read_stage.STAGE, crop_stage.STAGE, mask_stage.STAGE, tracking_stage.STAGE, pack.STAGE, doctor.STAGE)
+STAGES = (read_stage.STAGE, crop_stage.STAGE, mask_stage.STAGE, tracking_stage.STAGE, pack.STAGE, diagnosis.STAGE)
 
 Results = Mapping[str, Mapping[str, Any]]
 
@@ -62,7 +63,7 @@ def _run(stage: Stage, job: Job, wanted: str) -> Mapping[str, Any]:
 
     So nobody reads half of a new and half of an old one.
     """
-    if stage.name != doctor.STAGE.name:
+    if stage.name != diagnosis.STAGE.name:
         (job.folder / DESCRIPTION).unlink(missing_ok=True)
     if not was_interrupted(job.folder, stage, wanted):
         for name in stage.outputs:

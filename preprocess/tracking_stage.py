@@ -15,11 +15,11 @@ from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_grey, read_rgb
 from ggavatar.io.npz import write_npz
+from preprocess.doctor.conventions import apply_fixes
+from preprocess.doctor.frame_offset import find_offset
 from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
 from preprocess.formats.tracking_record import FLAME_JOINTS, ForeignTracking
-from preprocess.hypotheses import apply_fixes
 from preprocess.options import PrepOptions
-from preprocess.pairing import find_offset
 from preprocess.stage import Job, Stage, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence

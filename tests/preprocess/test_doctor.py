@@ -17,11 +17,11 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.images import picture_header, write_png
 from preprocess.cli import main as prep
-from preprocess.doctor import examine
+from preprocess.doctor.convention_test import rather_late
+from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
+from preprocess.doctor.diagnosis import examine
+from preprocess.doctor.letterbox import black_bars, cut_off
 from preprocess.doctor_cli import main as doctor
-from preprocess.evidence import rather_late
-from preprocess.hypotheses import AXES, FIXES, apply_fixes
-from preprocess.letterbox import black_bars, cut_off
 from preprocess.synthetic.demo import Settings, write_demo
 
 SIZE, FRAMES = 128, 56
@@ -167,7 +167,7 @@ def test_black_bars_that_count_as_person_are_named(folder, tmp_path, side):
 
 def test_our_own_tracking_is_in_our_own_convention(capture, head, monkeypatch):
     """What a head that hardly moves seems to tell of conventions counts for imported tracking only."""
-    monkeypatch.setattr("preprocess.doctor.rivals", lambda *_: FIXES["centre"])
+    monkeypatch.setattr("preprocess.doctor.diagnosis.rivals", lambda *_: FIXES["centre"])
     assert [finding.code for finding in faults(capture, head)] == ["centre"]
     ours = dataclasses.replace(capture, source={**capture.source, "tracking": {"tracker": "built-in"}})
     assert not faults(ours, head)

@@ -14,7 +14,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
-from preprocess.quality import landmark_error
+from preprocess.doctor.quality import landmark_error
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
 FRAMES = 5

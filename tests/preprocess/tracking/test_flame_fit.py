@@ -14,8 +14,8 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
 from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis
+from preprocess.doctor.quality import landmark_error
 from preprocess.options import TrackingOptions
-from preprocess.quality import landmark_error
 from preprocess.tracking.face.clip_fit import Clip, FoundCamera
 from preprocess.tracking.face.expression_basis import Camera
 from preprocess.tracking.face.flame_fit import (

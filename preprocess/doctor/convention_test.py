@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import in_order
-from preprocess.hypotheses import AXES, OTHERS, Hypothesis
-from preprocess.pairing import find_offset, picture_change
+from preprocess.doctor.conventions import AXES, OTHERS, Hypothesis
+from preprocess.doctor.frame_offset import find_offset, picture_change
 from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
 
 SIDE = 128

@@ -13,12 +13,12 @@ import numpy as np
 from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
-from preprocess import quality
-from preprocess.evidence import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
-from preprocess.hypotheses import AXES, EYES, OTHERS
-from preprocess.letterbox import black_bars, cut_off
+from preprocess.doctor import quality
+from preprocess.doctor.convention_test import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
+from preprocess.doctor.conventions import AXES, EYES, OTHERS
+from preprocess.doctor.frame_offset import find_offset
+from preprocess.doctor.letterbox import black_bars, cut_off
 from preprocess.options import PrepOptions
-from preprocess.pairing import find_offset
 from preprocess.stage import Job, Stage
 from preprocess.tracking.geometry.projection import one_torch_thread
 
@@ -284,7 +284,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 def run(job: Job) -> Mapping[str, Any]:
     """Examine the new capture; write doctor.json and preview.jpg."""
     from ggavatar.head.files import load_head
-    from preprocess.sheet import write_preview
+    from preprocess.doctor.preview import write_preview
 
     capture = Capture.open(job.folder)
     head = load_head(capture.head_path)

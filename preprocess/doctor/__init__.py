@@ -1,0 +1,1 @@
+"""What is wrong with a capture, in words, and which flag mends it."""
