@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.measure import cores
 from ggavatar.errors import InputError
-from preprocess.pipeline import STAGES
+from preprocess.pipeline.pipeline import STAGES
 
 CLIP = "talk_450.mp4"
 """Clip of $GGAVATAR_TEST_DATA/clips that is prepared; the long videos go through it forwards and backwards."""

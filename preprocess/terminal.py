@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from preprocess.options import PrepOptions
-from preprocess.stage import Stage
+from preprocess.pipeline.stage import Stage
 
 
 class Terminal:

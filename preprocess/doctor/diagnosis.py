@@ -18,8 +18,6 @@ from preprocess.doctor.convention_test import NEARLY, Evidence, Ranking, gather,
 from preprocess.doctor.conventions import AXES, EYES, OTHERS
 from preprocess.doctor.frame_offset import find_offset
 from preprocess.doctor.letterbox import black_bars, cut_off
-from preprocess.options import PrepOptions
-from preprocess.stage import Job, Stage
 from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
@@ -274,25 +272,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else value
-
-
-def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """Only what the stages before have made."""
-    return {}
-
-
-def run(job: Job) -> Mapping[str, Any]:
-    """Examine the new capture; write doctor.json and preview.jpg."""
-    from ggavatar.head.files import load_head
-    from preprocess.doctor.preview import write_preview
-
-    capture = Capture.open(job.folder)
-    head = load_head(capture.head_path)
-    diagnosis = examine(capture, head)
-    write_report(capture, diagnosis)
-    write_preview(capture, head)
-    job.reporter.advance(1, 1)
-    return _plain(diagnosis.json())
-
-
-STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW), version=2)

@@ -78,7 +78,7 @@ def test_unchanged_stages_are_skipped_and_changed_ones_run(clip, tmp_path, capsy
 
 def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
     """Killed in the middle of each stage: no capture is left that opens, and --resume finishes it."""
-    from preprocess import crop_stage, mask_stage, pipeline
+    from preprocess.pipeline import crop_stage, mask_stage, pipeline
 
     whole = tmp_path / "whole"
     assert run(clip, whole) == 0

@@ -10,12 +10,21 @@ from typing import Any
 
 from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
-from preprocess import crop_stage, mask_stage, pack, read_stage, tracking_stage
 from preprocess.doctor import diagnosis
 from preprocess.options import PrepOptions
-from preprocess.stage import RECORDS, Job, Reporter, Stage, fingerprint, finished_result, was_interrupted, write_record
+from preprocess.pipeline import crop_stage, mask_stage, pack_stage, read_stage, tracking_stage
+from preprocess.pipeline.stage import (
+    RECORDS,
+    Job,
+    Reporter,
+    Stage,
+    fingerprint,
+    finished_result,
+    was_interrupted,
+    write_record,
+)
 
-STAGES = (read_stage.STAGE, crop_stage.STAGE, mask_stage.STAGE, tracking_stage.STAGE, pack.STAGE, diagnosis.STAGE)
+STAGES = (read_stage.STAGE, crop_stage.STAGE, mask_stage.STAGE, tracking_stage.STAGE, pack_stage.STAGE, diagnosis.STAGE)
 
 Results = Mapping[str, Mapping[str, Any]]
 

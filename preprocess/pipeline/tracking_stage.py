@@ -20,7 +20,7 @@ from preprocess.doctor.frame_offset import find_offset
 from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
 from preprocess.formats.tracking_record import FLAME_JOINTS, ForeignTracking
 from preprocess.options import PrepOptions
-from preprocess.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence
 from preprocess.tracking.torso.torso import followed_torso

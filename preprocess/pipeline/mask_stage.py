@@ -12,7 +12,7 @@ from ggavatar.errors import GateError, InputError
 from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
 from ggavatar.io.ordered_map import in_order
 from preprocess.options import PrepOptions
-from preprocess.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.video.crop import Crop, crop_from_json
 from preprocess.video.image_folder import numbered_pictures
 

@@ -14,8 +14,8 @@ from ggavatar.io.ordered_map import in_order
 from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
 from preprocess.formats.tracking_record import ForeignTracking
 from preprocess.options import PrepOptions
-from preprocess.read_stage import selection_of
-from preprocess.stage import Job, Stage, file_state
+from preprocess.pipeline.read_stage import selection_of
+from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.video.crop import Crop, explicit, rectangle, square, square_around, whole_frame
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.sources import open_source

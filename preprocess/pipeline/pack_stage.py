@@ -12,7 +12,7 @@ from ggavatar.data.capture import TRACKING, Capture, Tracking
 from ggavatar.data.capture_schema import read_tracking
 from ggavatar.data.splits import split_frames, split_name
 from preprocess.options import PrepOptions
-from preprocess.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Job, Stage, file_state
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:

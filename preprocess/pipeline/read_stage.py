@@ -11,7 +11,7 @@ import numpy as np
 
 from ggavatar.errors import GateError, InputError
 from preprocess.options import PrepOptions
-from preprocess.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source

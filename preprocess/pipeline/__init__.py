@@ -1,0 +1,1 @@
+"""The stages of ggavatar-prep, in order, each skipped when its inputs are unchanged."""

@@ -1,0 +1,33 @@
+"""The last stage: the doctor examines the capture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ggavatar.data.capture import Capture
+from preprocess.doctor.diagnosis import PREVIEW, REPORT, _plain, examine, write_report
+from preprocess.options import PrepOptions
+from preprocess.pipeline.stage import Job, Stage
+
+
+def inputs(options: PrepOptions) -> Mapping[str, Any]:
+    """Only what the stages before have made."""
+    return {}
+
+
+def run(job: Job) -> Mapping[str, Any]:
+    """Examine the new capture; write doctor.json and preview.jpg."""
+    from ggavatar.head.files import load_head
+    from preprocess.doctor.preview import write_preview
+
+    capture = Capture.open(job.folder)
+    head = load_head(capture.head_path)
+    diagnosis = examine(capture, head)
+    write_report(capture, diagnosis)
+    write_preview(capture, head)
+    job.reporter.advance(1, 1)
+    return _plain(diagnosis.json())
+
+
+STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW), version=2)
