@@ -32,7 +32,7 @@ WIDTH, HEIGHT, RATE = 1920, 1080, 25
 GOAL_STAGES = ("masks", "tracking")
 """Masks, landmarks and pose: what the goal of 15 frames a second speaks of; tracking makes the head, too."""
 SAMPLE_SECONDS = 0.1
-COMMAND = "import sys; from preprocess.cli import main; sys.exit(main(sys.argv[1:]))"
+COMMAND = "import sys; from preprocess.cli.prep import main; sys.exit(main(sys.argv[1:]))"
 
 
 def clip_path() -> Path:

@@ -98,7 +98,13 @@ def test_room_names_say_what_is_inside(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "module",
-    ["preprocess.cli", "preprocess.doctor_cli", "preprocess.synthetic.cli", "evaluate.cli", "ggavatar.data.capture"],
+    [
+        "preprocess.cli.prep",
+        "preprocess.cli.doctor",
+        "preprocess.synthetic.cli",
+        "evaluate.cli",
+        "ggavatar.data.capture",
+    ],
 )
 def test_starts_without_torch(module: str) -> None:
     code = f"import sys, {module}; sys.exit('torch' in sys.modules)"

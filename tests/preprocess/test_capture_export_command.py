@@ -13,7 +13,7 @@ from ggavatar.cli.export import main as export
 from ggavatar.data.capture import Capture
 from ggavatar.formats.capture_layouts import capture_formats
 from preprocess import export as exporters
-from preprocess.cli import main as prepare
+from preprocess.cli.prep import main as prepare
 from preprocess.formats.importers import metrical_tracker, vhap
 from preprocess.formats.tracking_record import ForeignTracking
 from preprocess.tracking.geometry.projection import posed_vertices, project

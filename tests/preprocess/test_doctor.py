@@ -16,12 +16,12 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.images import picture_header, write_png
-from preprocess.cli import main as prep
+from preprocess.cli.doctor import main as doctor
+from preprocess.cli.prep import main as prep
 from preprocess.doctor.convention_test import rather_late
 from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
 from preprocess.doctor.diagnosis import examine
 from preprocess.doctor.letterbox import black_bars, cut_off
-from preprocess.doctor_cli import main as doctor
 from preprocess.synthetic.demo import Settings, write_demo
 
 SIZE, FRAMES = 128, 56

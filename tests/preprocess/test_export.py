@@ -12,7 +12,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.images import picture_header, read_rgb
 from preprocess import export
-from preprocess.cli import main
+from preprocess.cli.prep import main
 from preprocess.export import centred, export_flash_avatar, export_gaussian_avatars, posed_by_camera, posed_by_flame
 from preprocess.formats.importers import metrical_tracker, vhap
 from preprocess.tracking.geometry.projection import posed_vertices, project

@@ -15,7 +15,7 @@ from made_up_subject import draw, make_clip, write_video
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
-from preprocess.cli import main
+from preprocess.cli.prep import main
 from preprocess.formats.importers import metrical_tracker
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ggavatar" / "head"))

@@ -63,8 +63,8 @@ def _prepare(options: PrepOptions) -> int:
     # The fit's matrices are small, and our own threads keep the cores busy: OpenBLAS's would only be in the way.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from ggavatar.data.capture import Capture
+    from preprocess.cli.terminal import Terminal
     from preprocess.pipeline.pipeline import run_pipeline
-    from preprocess.terminal import Terminal
 
     terminal = Terminal(options.quiet or options.json)
     results = run_pipeline(options, terminal.stage)

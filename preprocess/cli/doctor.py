@@ -43,9 +43,9 @@ def _examine(options: DoctorOptions) -> int:
 
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
+    from preprocess.cli.terminal import spoken
     from preprocess.doctor.diagnosis import examine, write_report
     from preprocess.doctor.preview import write_preview
-    from preprocess.terminal import spoken
 
     capture = Capture.open(options.capture)
     head = load_head(capture.head_path)

@@ -1,0 +1,1 @@
+"""The commands ggavatar-prep, ggavatar-doctor and ggavatar-demo."""
