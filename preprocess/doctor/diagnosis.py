@@ -259,16 +259,16 @@ def _landmarks(error: float, capture: Capture) -> list[Finding]:
 
 def write_report(capture: Capture, diagnosis: Diagnosis) -> None:
     """Write doctor.json into the capture."""
-    text = json.dumps(_plain(diagnosis.json()), ensure_ascii=False, indent=1, allow_nan=False)
+    text = json.dumps(plain_values(diagnosis.json()), ensure_ascii=False, indent=1, allow_nan=False)
     write_text(capture.folder / REPORT, text)
 
 
-def _plain(value: Any) -> Any:
+def plain_values(value: Any) -> Any:
     """Numbers of numpy as Python's, NaN as null."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain_values(item) for item in value]
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else value

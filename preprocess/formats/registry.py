@@ -1,4 +1,4 @@
-"""The foreign formats, one file each in `preprocess/importers/`: the file name is the format's name."""
+"""The foreign formats, one file each in `preprocess/formats/importers/`: the file name is the format's name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SWAPPED_SIZE = "swapped-size"
 
 @runtime_checkable
 class Importer(Protocol):
-    """What a module in `preprocess/importers/` offers."""
+    """What a module in `preprocess/formats/importers/` offers."""
 
     TITLE: str
 

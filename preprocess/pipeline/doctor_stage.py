@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ggavatar.data.capture import Capture
-from preprocess.doctor.diagnosis import PREVIEW, REPORT, _plain, examine, write_report
+from preprocess.doctor.diagnosis import PREVIEW, REPORT, plain_values, examine, write_report
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Job, Stage
 
@@ -27,7 +27,7 @@ def run(job: Job) -> Mapping[str, Any]:
     write_report(capture, diagnosis)
     write_preview(capture, head)
     job.reporter.advance(1, 1)
-    return _plain(diagnosis.json())
+    return plain_values(diagnosis.json())
 
 
 STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW), version=2)

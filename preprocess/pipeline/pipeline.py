@@ -10,9 +10,8 @@ from typing import Any
 
 from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
-from preprocess.doctor import diagnosis
 from preprocess.options import PrepOptions
-from preprocess.pipeline import crop_stage, mask_stage, pack_stage, read_stage, tracking_stage
+from preprocess.pipeline import crop_stage, doctor_stage, mask_stage, pack_stage, read_stage, tracking_stage
 from preprocess.pipeline.stage import (
     RECORDS,
     Job,
@@ -24,7 +23,14 @@ from preprocess.pipeline.stage import (
     write_record,
 )
 
-STAGES = (read_stage.STAGE, crop_stage.STAGE, mask_stage.STAGE, tracking_stage.STAGE, pack_stage.STAGE, diagnosis.STAGE)
+STAGES = (
+    read_stage.STAGE,
+    crop_stage.STAGE,
+    mask_stage.STAGE,
+    tracking_stage.STAGE,
+    pack_stage.STAGE,
+    doctor_stage.STAGE,
+)
 
 Results = Mapping[str, Mapping[str, Any]]
 
@@ -72,7 +78,7 @@ def _run(stage: Stage, job: Job, wanted: str) -> Mapping[str, Any]:
 
     So nobody reads half of a new and half of an old one.
     """
-    if stage.name != diagnosis.STAGE.name:
+    if stage.name != doctor_stage.STAGE.name:
         (job.folder / DESCRIPTION).unlink(missing_ok=True)
     if not was_interrupted(job.folder, stage, wanted):
         for name in stage.outputs:
