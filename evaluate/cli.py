@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.console import Console
 
-from evaluate.faces import FaceMetrics
 from evaluate.gates import limits_of
+from evaluate.metrics.faces import FaceMetrics
 from evaluate.options import Options, parse
 from evaluate.outputs import build_tables, write_copies, write_tables
 from evaluate.pairing import pair_folders

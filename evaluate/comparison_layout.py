@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from evaluate.crops import Crop, choose_crops
 from evaluate.heatmap import colored, scale_bar, shared_limit
 from evaluate.lettering import INK, MUTED, PAPER, Color, coverage, put
-from evaluate.metrics import absolute_error, psnr
+from evaluate.metrics.pixels import absolute_error, psnr
 from evaluate.sheet import GAP, Row, resized, sheet, type_size
 
 CROP_COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (0, 114, 178))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from evaluate.catalogue import metric_of, title_of
+from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.protocol import Protocol
 from evaluate.results import Evaluation
 from evaluate.statistics import deviation_over_seeds

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from evaluate.catalogue import metric_of, title_of
+from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.shown import Shown, measured, names_of
 from ggavatar.io.atomic import write_atomically
 

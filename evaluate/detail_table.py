@@ -7,8 +7,8 @@ import statistics
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
-from evaluate.catalogue import metric_of, title_of
 from evaluate.comparison_table import Study, missing_notes, printed
+from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.results import Evaluation
 from evaluate.statistics import BLOCK_SPAN, RESAMPLES, deviation_over_seeds, paired_bootstrap
 from evaluate.table import Cell, Column, Row, Source, Table, missing_cell, number_cell

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.catalogue import FACES, TEMPORAL
-from evaluate.faces import Points
+from evaluate.metrics.catalogue import FACES, TEMPORAL
+from evaluate.metrics.faces import Points
+from evaluate.metrics.temporal import flicker, frame_difference_error, landmark_jitter
 from evaluate.protocol import Protocol
 from evaluate.results import Evaluation, Value
-from evaluate.temporal import flicker, frame_difference_error, landmark_jitter
 
 Image = UInt8[np.ndarray, "H W 3"]
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from evaluate.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS
+from evaluate.metrics.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS
 from ggavatar.errors import InputError
 
 GIVEN = "given"
@@ -37,7 +37,7 @@ class Protocol:
         resize: Filter that brings the ground truth to `resolution`: `area` (OpenCV INTER_AREA).
         quantisation: `uint8-round`: both images are 8-bit, clamped and rounded to the nearest level.
         psnr_aggregation: `mean-of-images`; the pooled PSNR is always stored beside it.
-        metrics: What is measured, names of `evaluate.catalogue.METRICS`.
+        metrics: What is measured, names of `evaluate.metrics.catalogue.METRICS`.
         table_metrics: Subset that the main table shows.
         regions: Named regions measured in addition, as `psnr@face`.
         test_time_optimisation: `none`: nothing is fitted to test frames.

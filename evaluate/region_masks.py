@@ -11,7 +11,7 @@ import torch
 from jaxtyping import UInt8
 
 from evaluate.frame_files import frame_file
-from evaluate.regions import MESH_REGIONS, hair_region, mesh_regions
+from evaluate.metrics.regions import MESH_REGIONS, hair_region, mesh_regions
 from ggavatar.core import Camera, Drive
 from ggavatar.geometry.transforms import project
 from ggavatar.head.files import load_head

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from evaluate.catalogue import METRICS, metric_of
+from evaluate.metrics.catalogue import METRICS, metric_of
 from evaluate.results import Evaluation
 from ggavatar.errors import InputError
 
@@ -104,7 +104,7 @@ def compare(
     Args:
         evaluations: The new results.
         baselines: The old results; each must have a new counterpart of the same subject, method and protocol.
-        tolerances: By metric; others have the tolerance of `evaluate.catalogue`.
+        tolerances: By metric; others have the tolerance of `evaluate.metrics.catalogue`.
 
     Raises:
         InputError: The protocols differ, so that the numbers do not compare.

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from evaluate.catalogue import metric_of, title_of
 from evaluate.curves import COLORS
+from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.outputs import build_tables
 from evaluate.render_table_html import STYLE, to_fragment
 from evaluate.report_pictures import report_pictures

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from evaluate.heatmap import colored, shared_limit
-from evaluate.metrics import absolute_error
+from evaluate.metrics.pixels import absolute_error
 from evaluate.sheet import resized
 from evaluate.shown import Shown, worst_frames
 

@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from evaluate.catalogue import metric_of
-from evaluate.metrics import pooled_psnr
+from evaluate.metrics.catalogue import metric_of
+from evaluate.metrics.pixels import pooled_psnr
 from evaluate.protocol import Protocol, from_dict
 from evaluate.statistics import Summary, summarise
 from ggavatar.errors import InputError

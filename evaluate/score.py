@@ -12,13 +12,13 @@ from typing import TypeVar, runtime_checkable
 
 import numpy as np
 
-from evaluate.catalogue import FACES
-from evaluate.faces import FaceMetrics
 from evaluate.gather import Gathering, Labels, Scored
-from evaluate.measure import measure_pixels
+from evaluate.metrics.catalogue import FACES
+from evaluate.metrics.faces import FaceMetrics
+from evaluate.metrics.per_frame import measure_pixels
+from evaluate.metrics.regions import boundary_band, painted_outside
 from evaluate.pairing import FramePair
 from evaluate.protocol import Protocol
-from evaluate.regions import boundary_band, painted_outside
 from evaluate.results import Evaluation
 from evaluate.scored_pictures import read_scored, read_weights
 from ggavatar.errors import InputError
@@ -34,7 +34,7 @@ INSIDE = ("psnr", "mse", "l1")
 
 @runtime_checkable
 class Perceptual(Interface):
-    """Learned metrics, such as `evaluate.perceptual.PerceptualMetrics`; `measure` is called from several threads."""
+    """Learned metrics, such as `evaluate.metrics.lpips.PerceptualMetrics`; `measure` is called from several threads."""
 
     missing: dict[str, str]
     hashes: dict[str, str]
@@ -113,7 +113,7 @@ def learned_metrics(protocol: Protocol, folders: Sequence[Path]) -> Perceptual |
     reasons = {name: find_lpips(name.removeprefix("lpips_").removesuffix("_unit_range"), folders) for name in names}
     if all(isinstance(reason, str) for reason in reasons.values()):
         return NothingLearned({name: str(reason) for name, reason in reasons.items()})
-    from evaluate.perceptual import PerceptualMetrics
+    from evaluate.metrics.lpips import PerceptualMetrics
 
     return PerceptualMetrics(names, folders)
 

@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from evaluate.frame_files import common_frames, frame_files
 from evaluate.heatmap import colored, shared_limit
 from evaluate.lettering import INK, MUTED, strip
-from evaluate.metrics import absolute_error, psnr
+from evaluate.metrics.pixels import absolute_error, psnr
 from evaluate.sheet import type_size
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb

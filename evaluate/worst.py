@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluate.catalogue import metric_of
 from evaluate.heatmap import colored, shared_limit
-from evaluate.metrics import absolute_error
+from evaluate.metrics.catalogue import metric_of
+from evaluate.metrics.pixels import absolute_error
 from evaluate.sheet import Row, resized, sheet
 from evaluate.shown import Shown, worst_frames
 from ggavatar.io.images import write_png

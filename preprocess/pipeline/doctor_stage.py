@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ggavatar.data.capture import Capture
-from preprocess.doctor.diagnosis import PREVIEW, REPORT, plain_values, examine, write_report
+from preprocess.doctor.diagnosis import PREVIEW, REPORT, examine, plain_values, write_report
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Job, Stage
 

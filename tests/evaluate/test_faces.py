@@ -10,9 +10,9 @@ import pytest
 from picture_pairs import write
 from skimage.data import astronaut
 
-from evaluate.catalogue import FACES
-from evaluate.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
 from evaluate.gather import Labels
+from evaluate.metrics.catalogue import FACES
+from evaluate.metrics.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
 from evaluate.pairing import pair_folders
 from evaluate.protocol import named
 from evaluate.score import score

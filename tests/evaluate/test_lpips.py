@@ -14,7 +14,7 @@ import pytest
 import torch
 from torch import nn
 
-from evaluate.perceptual import SCALE, SHIFT, Lpips, PerceptualMetrics, load_lpips, to_signed
+from evaluate.metrics.lpips import SCALE, SHIFT, Lpips, PerceptualMetrics, load_lpips, to_signed
 from ggavatar.errors import InputError
 from ggavatar.pretrained.folders import model_folders
 from ggavatar.pretrained.lpips import LpipsFiles, find_lpips

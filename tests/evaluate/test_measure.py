@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from picture_pairs import pair
 
-from evaluate import metrics, ssim
-from evaluate.measure import measure_pixels
+from evaluate.metrics import pixels, ssim
+from evaluate.metrics.per_frame import measure_pixels
 
 
 def test_shared_maps_give_what_the_definitions_give() -> None:
@@ -20,23 +20,23 @@ def test_shared_maps_give_what_the_definitions_give() -> None:
     found = measure_pixels(render, truth, [*names, *masked, "lpips_alex", "flicker"], {"face": weights})
     assert set(found) == {*names, *masked}
     lumas = ssim.luma(render), ssim.luma(truth)
-    inner, squared = weights[5:-5, 5:-5], metrics.squared_error(render, truth)
+    inner, squared = weights[5:-5, 5:-5], pixels.squared_error(render, truth)
     expected = {
-        "psnr": metrics.psnr(render, truth),
-        "mse": metrics.mean_squared_error(render, truth),
-        "l1": metrics.mean_absolute_error(render, truth),
+        "psnr": pixels.psnr(render, truth),
+        "mse": pixels.mean_squared_error(render, truth),
+        "l1": pixels.mean_absolute_error(render, truth),
         "ssim": ssim.ssim(render, truth),
         "ssim_luma": ssim.ssim(*lumas),
         "ssim_3dgs": ssim.ssim_3dgs(render, truth),
         "ssim_3dgs_luma": ssim.ssim_3dgs(*lumas),
         "ms_ssim": ssim.ms_ssim(render, truth),
-        "psnr@face": metrics.masked_psnr(squared, weights),
-        "mse@face": metrics.masked_mean(squared, weights),
-        "l1@face": metrics.masked_mean(metrics.absolute_error(render, truth), weights),
-        "ssim@face": metrics.masked_mean(ssim.valid(ssim.ssim_map(render, truth)).mean(axis=2), inner),
-        "ssim_luma@face": metrics.masked_mean(ssim.valid(ssim.ssim_map(*lumas)).mean(axis=2), inner),
-        "ssim_3dgs@face": metrics.masked_mean(ssim.ssim_map(render, truth).mean(axis=2), weights),
-        "ssim_3dgs_luma@face": metrics.masked_mean(ssim.ssim_map(*lumas).mean(axis=2), weights),
+        "psnr@face": pixels.masked_psnr(squared, weights),
+        "mse@face": pixels.masked_mean(squared, weights),
+        "l1@face": pixels.masked_mean(pixels.absolute_error(render, truth), weights),
+        "ssim@face": pixels.masked_mean(ssim.valid(ssim.ssim_map(render, truth)).mean(axis=2), inner),
+        "ssim_luma@face": pixels.masked_mean(ssim.valid(ssim.ssim_map(*lumas)).mean(axis=2), inner),
+        "ssim_3dgs@face": pixels.masked_mean(ssim.ssim_map(render, truth).mean(axis=2), weights),
+        "ssim_3dgs_luma@face": pixels.masked_mean(ssim.ssim_map(*lumas).mean(axis=2), weights),
     }
     assert found == pytest.approx(expected, rel=1e-6)
 
@@ -50,7 +50,7 @@ def test_empty_full_and_absent_masks() -> None:
     assert found["psnr@empty"] is None
     assert found["ssim@empty"] is None
     assert found["l1@absent"] is None
-    assert found["psnr@full"] == pytest.approx(metrics.psnr(render, truth), rel=1e-6)
+    assert found["psnr@full"] == pytest.approx(pixels.psnr(render, truth), rel=1e-6)
     assert found["ssim_3dgs@full"] == pytest.approx(ssim.ssim_3dgs(render, truth), rel=1e-6)
 
 

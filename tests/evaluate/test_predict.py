@@ -11,8 +11,8 @@ import pytest
 import torch
 from visual_toys import HEIGHT, WIDTH, toy_run
 
-from evaluate.efficiency import model_megabytes
 from evaluate.ground_truth import Truth
+from evaluate.metrics.efficiency import model_megabytes
 from evaluate.predict import Job, job_of, predict_frames
 from evaluate.protocol import named
 from ggavatar.errors import InputError

@@ -8,7 +8,7 @@ import json
 
 import pytest
 
-from evaluate import catalogue
+from evaluate.metrics import catalogue
 from evaluate.protocol import PROTOCOLS, Protocol, from_dict, named
 from ggavatar.errors import InputError
 

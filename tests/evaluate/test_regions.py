@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluate.regions import boundary_band, hair_region, mesh_regions, painted_outside
+from evaluate.metrics.regions import boundary_band, hair_region, mesh_regions, painted_outside
 
 
 def test_the_band_of_a_half_plane_is_two_radii_wide() -> None:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from picture_pairs import pair, write, write_folders
 
-from evaluate import metrics, ssim
 from evaluate.gather import Labels
+from evaluate.metrics import pixels, ssim
 from evaluate.pairing import pair_folders
 from evaluate.protocol import Protocol, named
 from evaluate.results import read_results, write_results
@@ -35,10 +35,10 @@ def test_values_are_those_of_the_single_functions(tmp_path: Path) -> None:
     assert found.frames == (3, 4, 9)
     for place, frame in enumerate(found.frames):
         truth, render = pair(shift=frame)
-        assert found.values["psnr"][place] == metrics.psnr(render, truth)
+        assert found.values["psnr"][place] == pixels.psnr(render, truth)
         assert found.values["ssim"][place] == pytest.approx(ssim.ssim(render, truth), abs=1e-9)
-        assert found.values["mse"][place] == metrics.mean_squared_error(render, truth)
-    mean = sum(metrics.psnr(pair(shift=n)[1], pair(shift=n)[0]) for n in (3, 4, 9)) / 3
+        assert found.values["mse"][place] == pixels.mean_squared_error(render, truth)
+    mean = sum(pixels.psnr(pair(shift=n)[1], pair(shift=n)[0]) for n in (3, 4, 9)) / 3
     assert found.summary("psnr").mean == pytest.approx(mean)
     pooled = found.summary("psnr_pooled").mean
     assert pooled is not None
@@ -127,7 +127,7 @@ def test_a_region_protocol_measures_inside_and_paints_outside(tmp_path: Path) ->
     found = score(pairs, protocol, LABELS)
     clean, render = pair(shift=1)
     weights = (mask / 255).astype(np.float32)
-    expected = metrics.masked_psnr(metrics.squared_error(render, clean), weights)
+    expected = pixels.masked_psnr(pixels.squared_error(render, clean), weights)
     assert found.values["psnr"][0] == pytest.approx(expected, rel=1e-6)
     painted = [np.where(mask[..., None] > 0, image, np.uint8(255)) for image in (render, clean)]
     assert found.values["ssim"][0] == pytest.approx(ssim.ssim(*painted), abs=1e-6)
@@ -142,7 +142,7 @@ def test_alpha_is_composited_and_noted(tmp_path: Path) -> None:
     found = score(pair_folders(predictions, truth), plain(background="black"), LABELS)
     assert any("composited" in note for note in found.notes)
     shown = np.round(render * (128 / 255)).astype(np.uint8)
-    assert found.values["psnr"][0] == pytest.approx(metrics.psnr(shown, clean), abs=1e-3)
+    assert found.values["psnr"][0] == pytest.approx(pixels.psnr(shown, clean), abs=1e-3)
     with pytest.raises(InputError, match="background"):
         score(pair_folders(predictions, truth), plain(), LABELS)
 

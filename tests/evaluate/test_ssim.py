@@ -11,8 +11,8 @@ from picture_pairs import pair
 from skimage.metrics import structural_similarity
 from torch.nn.functional import conv2d
 
-from evaluate import ssim
-from evaluate.metrics import masked_mean
+from evaluate.metrics import ssim
+from evaluate.metrics.pixels import masked_mean
 
 WANG = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0}
 

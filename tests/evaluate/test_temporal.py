@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from picture_pairs import pair
 
-from evaluate.temporal import flicker, frame_difference_error, landmark_jitter
+from evaluate.metrics.temporal import flicker, frame_difference_error, landmark_jitter
 
 
 def test_a_constant_error_does_not_count_and_a_change_does() -> None:

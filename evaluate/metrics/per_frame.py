@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate import metrics, ssim
+from evaluate.metrics import pixels, ssim
 
 Weights = Float[np.ndarray, "H W"]
 Image = UInt8[np.ndarray, "H W 3"]
@@ -53,9 +53,9 @@ def _ms_ssim(prediction: Image, truth: Image) -> Value:
 
 
 _WHOLE: Mapping[str, Callable[[Image, Image], Value]] = {
-    "psnr": metrics.psnr,
-    "mse": metrics.mean_squared_error,
-    "l1": metrics.mean_absolute_error,
+    "psnr": pixels.psnr,
+    "mse": pixels.mean_squared_error,
+    "l1": pixels.mean_absolute_error,
     "ms_ssim": _ms_ssim,
 }
 
@@ -78,8 +78,8 @@ def _ssim_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[
 
 def _error_maps(prediction: Image, truth: Image, names: Set[str]) -> dict[str, np.ndarray]:
     """The errors per pixel that masked columns need."""
-    found = {"l1": metrics.absolute_error(prediction, truth)} if "l1" in names else {}
-    return found | ({"mse": metrics.squared_error(prediction, truth)} if names & {"psnr", "mse"} else {})
+    found = {"l1": pixels.absolute_error(prediction, truth)} if "l1" in names else {}
+    return found | ({"mse": pixels.squared_error(prediction, truth)} if names & {"psnr", "mse"} else {})
 
 
 def _masked(name: str, maps: Mapping[str, np.ndarray], weights: Weights | None) -> Value:
@@ -87,9 +87,9 @@ def _masked(name: str, maps: Mapping[str, np.ndarray], weights: Weights | None) 
     if weights is None:
         return None
     if name == "psnr":
-        return metrics.masked_psnr(maps["mse"], weights)
+        return pixels.masked_psnr(maps["mse"], weights)
     if name not in maps:
         return None
     radius = ssim.RADIUS if name in ("ssim", "ssim_luma") else 0
     height, width = weights.shape
-    return metrics.masked_mean(maps[name], weights[radius : height - radius, radius : width - radius])
+    return pixels.masked_mean(maps[name], weights[radius : height - radius, radius : width - radius])

@@ -1,0 +1,1 @@
+"""Measures of images and sequences, each a pure function."""
