@@ -12,7 +12,7 @@ from torch import Tensor
 
 from evaluate.frame_files import to_8_bit
 from evaluate.ground_truth import Color
-from evaluate.orbit import turned
+from evaluate.motion.orbit import turned
 from evaluate.sheet import Row, resized, sheet
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.motion import Motion
+from evaluate.motion.motion import Motion
 from evaluate.sheet import Row, resized, sheet
 
 

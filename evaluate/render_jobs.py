@@ -12,15 +12,15 @@ import torch
 from torch import Tensor
 
 from evaluate.comparison_table import printed
-from evaluate.drive import drives_of, fitted_to
 from evaluate.frame_files import find_frame
 from evaluate.ground_truth import Color, Truth
 from evaluate.lone_file import LoneFile, open_alone
-from evaluate.motion import Motion, motion_of, read_motion
+from evaluate.motion.motion import Motion, motion_of, read_motion
+from evaluate.motion.orbit import head_center, sweep, turned
+from evaluate.motion.retarget import drives_of, fitted_to
+from evaluate.motion.transfer import Transfer, neutral_row, transferred
 from evaluate.novel_views import novel_views
-from evaluate.orbit import head_center, sweep, turned
 from evaluate.protocol import GIVEN, Protocol
-from evaluate.reenact import Transfer, neutral_row, transferred
 from evaluate.reenactment_figure import reenactment, telling_rows
 from evaluate.render_views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
 from evaluate.sources import open_file, refuse_file_flags

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evaluate.motion import Motion
+from evaluate.motion.motion import Motion
 from ggavatar.core import Camera, Drive
 from ggavatar.data.frames import head_pose
 from ggavatar.errors import InputError

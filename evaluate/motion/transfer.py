@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from evaluate.motion import Cameras, Motion
-from evaluate.smoothing import smoothed
+from evaluate.motion.motion import Cameras, Motion
+from evaluate.motion.smoothing import smoothed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Transfer:
     Attributes:
         expression: `relative` adds changes from neutral to neutral; `absolute` copies coefficients and joints.
         pose: The same for the head's pose in front of the camera; `still` keeps the target's neutral pose.
-        smooth: One of `evaluate.smoothing.METHODS`.
+        smooth: One of `evaluate.motion.smoothing.METHODS`.
         margin: How far beyond the range seen in training a value may go, in widths of that range; None does not limit.
     """
 
@@ -51,7 +51,7 @@ def transferred(driver: Motion, driver_neutral: int, target: Motion, target_neut
     """The driver's performance by the target.
 
     Args:
-        driver: Already in the target's basis and joint order (`evaluate.drive.fitted_to`).
+        driver: Already in the target's basis and joint order (`evaluate.motion.retarget.fitted_to`).
         driver_neutral: Row of the driver's neutral frame.
         target: What the avatar was trained on; its ranges are the limits.
         target_neutral: Row of the target's neutral frame.
