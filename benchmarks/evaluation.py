@@ -14,7 +14,7 @@ from skimage.data import astronaut
 from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
 from evaluate.gather import Labels
 from evaluate.pairing import FramePair, pair_folders
-from evaluate.protocol import named
+from evaluate.protocols.protocol import named
 from evaluate.score import learned_metrics, score
 from ggavatar.io.images import write_png
 from ggavatar.pretrained.folders import model_folders

@@ -16,10 +16,10 @@ from evaluate.metrics.faces import FaceMetrics
 from evaluate.options import Options, parse
 from evaluate.outputs import build_tables, write_copies, write_tables
 from evaluate.pairing import pair_folders
-from evaluate.protocol import Protocol
+from evaluate.protocols.protocol import Protocol
+from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.regression import Check, to_github, write_junit
 from evaluate.render_table_terminal import show
-from evaluate.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError

@@ -6,12 +6,12 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.protocol import Protocol
-from evaluate.results import Evaluation
-from evaluate.statistics import deviation_over_seeds
+from evaluate.protocols.method_names import printed
+from evaluate.protocols.protocol import Protocol
+from evaluate.protocols.results import Evaluation
+from evaluate.protocols.statistics import deviation_over_seeds
 from evaluate.table import (
     IDENTICAL,
     Cell,
@@ -25,27 +25,6 @@ from evaluate.table import (
     number_cell,
 )
 from ggavatar.errors import InputError
-
-TITLES = MappingProxyType(
-    {
-        "ggavatar": "GGAvatar",
-        "gaussian_avatars": "GaussianAvatars",
-        "flash_avatar": "FlashAvatar",
-        "point_avatar": "PointAvatar",
-        "splatting_avatar": "SplattingAvatar",
-        "mono_gaussian_avatar": "MonoGaussianAvatar",
-        "ggavatar_without_adjuster": "w/o Geometry Morph Adjuster",
-        "ggavatar_without_triplane": "w/o tri-plane",
-        "ggavatar_without_lbs": "w/o LBS",
-        "ggavatar_without_initialization": "w/o initialization",
-    }
-)
-"""Printed names of methods by their names on the command line, as in the paper; others are printed as they are."""
-
-
-def printed(method: str) -> str:
-    """The name of a method as the tables print it."""
-    return TITLES.get(method.replace("-", "_"), method)
 
 
 @dataclass(frozen=True)

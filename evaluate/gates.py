@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from evaluate.options import Gates
+from evaluate.protocols.results import Evaluation, read_results
 from evaluate.regression import Check, check_limits, compare, parse_limits
-from evaluate.results import Evaluation, read_results
 from ggavatar.errors import InputError
 
 

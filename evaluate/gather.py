@@ -15,8 +15,8 @@ from jaxtyping import UInt8
 from evaluate.metrics.catalogue import FACES, TEMPORAL
 from evaluate.metrics.faces import Points
 from evaluate.metrics.temporal import flicker, frame_difference_error, landmark_jitter
-from evaluate.protocol import Protocol
-from evaluate.results import Evaluation, Value
+from evaluate.protocols.protocol import Protocol
+from evaluate.protocols.results import Evaluation, Value
 
 Image = UInt8[np.ndarray, "H W 3"]
 

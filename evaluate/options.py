@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from evaluate.protocol import PROTOCOLS, Protocol, named
+from evaluate.protocols.protocol import PROTOCOLS, Protocol, named
 from ggavatar.cli.version import answer_version
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError

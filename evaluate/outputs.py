@@ -16,7 +16,7 @@ from evaluate import (
 from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
 from evaluate.detail_table import detail_table, efficiency_table, significance_table
 from evaluate.paper_table import ablation_with_paper, paper_table_1, paper_table_2, with_paper
-from evaluate.results import Evaluation, to_json, write_text
+from evaluate.protocols.results import Evaluation, to_json, write_text
 from evaluate.sources_table import sources_table
 from evaluate.table import Table
 

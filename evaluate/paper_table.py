@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluate.comparison_table import Study, ablation_table, printed, subjects_table
+from evaluate.comparison_table import Study, ablation_table, subjects_table
+from evaluate.protocols.method_names import printed
 from evaluate.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
 
 OURS = "Ours"

@@ -19,7 +19,7 @@ from torch import Tensor
 from evaluate.frame_files import frame_file, to_8_bit
 from evaluate.ground_truth import Pictures, Truth
 from evaluate.metrics.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
-from evaluate.protocol import GIVEN, Protocol
+from evaluate.protocols.protocol import GIVEN, Protocol
 from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically

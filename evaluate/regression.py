@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from evaluate.metrics.catalogue import METRICS, metric_of
-from evaluate.results import Evaluation
+from evaluate.protocols.results import Evaluation
 from ggavatar.errors import InputError
 
 
@@ -187,6 +187,6 @@ def _property(text: str) -> str:
 
 def write_junit(path: Path, checks: Sequence[Check]) -> None:
     """Write the JUnit file."""
-    from evaluate.results import write_text
+    from evaluate.protocols.results import write_text
 
     write_text(path, to_junit(checks))

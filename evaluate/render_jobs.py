@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evaluate.comparison_table import printed
 from evaluate.frame_files import find_frame
 from evaluate.ground_truth import Color, Truth
 from evaluate.lone_file import LoneFile, open_alone
@@ -20,7 +19,8 @@ from evaluate.motion.orbit import head_center, sweep, turned
 from evaluate.motion.retarget import drives_of, fitted_to
 from evaluate.motion.transfer import Transfer, neutral_row, transferred
 from evaluate.novel_views import novel_views
-from evaluate.protocol import GIVEN, Protocol
+from evaluate.protocols.method_names import printed
+from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.reenactment_figure import reenactment, telling_rows
 from evaluate.render_views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
 from evaluate.sources import open_file, refuse_file_flags

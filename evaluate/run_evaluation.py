@@ -13,9 +13,9 @@ from evaluate.gather import Labels
 from evaluate.options import Options
 from evaluate.pairing import pair_folders
 from evaluate.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
-from evaluate.protocol import GIVEN, Protocol
+from evaluate.protocols.protocol import GIVEN, Protocol
+from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.region_masks import write_region_masks
-from evaluate.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
 from evaluate.sources import open_file, refuse_file_flags
 from ggavatar.data.splits import split_name

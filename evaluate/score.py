@@ -18,8 +18,8 @@ from evaluate.metrics.faces import FaceMetrics
 from evaluate.metrics.per_frame import measure_pixels
 from evaluate.metrics.regions import boundary_band, painted_outside
 from evaluate.pairing import FramePair
-from evaluate.protocol import Protocol
-from evaluate.results import Evaluation
+from evaluate.protocols.protocol import Protocol
+from evaluate.protocols.results import Evaluation
 from evaluate.scored_pictures import read_scored, read_weights
 from ggavatar.errors import InputError
 

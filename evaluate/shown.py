@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.comparison_table import printed
 from evaluate.frame_files import find_frame
 from evaluate.metrics.catalogue import metric_of
-from evaluate.results import Evaluation
+from evaluate.protocols.method_names import printed
+from evaluate.protocols.results import Evaluation
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb
 

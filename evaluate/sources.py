@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from evaluate.protocol import GIVEN
+from evaluate.protocols.protocol import GIVEN
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT, open_imported_run

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.comparison_table import Study, printed
-from evaluate.results import Evaluation
+from evaluate.comparison_table import Study
+from evaluate.protocols.method_names import printed
+from evaluate.protocols.results import Evaluation
 from evaluate.table import Cell, Column, Row, Table, missing_cell
 
 SHOWN = 16

@@ -8,8 +8,8 @@ from pathlib import Path
 from evaluate.comparison import load_sample, typical_frames, write_comparison
 from evaluate.comparison_layout import comparison
 from evaluate.curves import write_curves
+from evaluate.protocols.results import METRICS_FILE
 from evaluate.report import write_report
-from evaluate.results import METRICS_FILE
 from evaluate.shown import Shown, names_of
 from evaluate.video import write_side_by_side
 from evaluate.worst import write_worst_frames

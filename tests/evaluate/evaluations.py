@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.protocol import Protocol, named
-from evaluate.results import Evaluation
+from evaluate.protocols.protocol import Protocol, named
+from evaluate.protocols.results import Evaluation
 
 PROTOCOL = named("folders").override(metrics=("psnr", "ssim", "lpips_alex"))
 

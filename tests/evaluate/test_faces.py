@@ -14,7 +14,7 @@ from evaluate.gather import Labels
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
 from evaluate.pairing import pair_folders
-from evaluate.protocol import named
+from evaluate.protocols.protocol import named
 from evaluate.score import score
 from ggavatar.errors import InputError
 from ggavatar.landmarks.blendshapes import NAMES

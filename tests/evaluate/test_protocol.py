@@ -9,7 +9,7 @@ import json
 import pytest
 
 from evaluate.metrics import catalogue
-from evaluate.protocol import PROTOCOLS, Protocol, from_dict, named
+from evaluate.protocols.protocol import PROTOCOLS, Protocol, from_dict, named
 from ggavatar.errors import InputError
 
 CHANGES = {

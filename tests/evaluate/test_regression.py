@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from evaluations import PROTOCOL, evaluation
 
-from evaluate.protocol import named
+from evaluate.protocols.protocol import named
 from evaluate.regression import Check, check_limits, compare, parse_limits, resolved, to_github, to_junit
 from ggavatar.errors import InputError
 

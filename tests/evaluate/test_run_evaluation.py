@@ -13,7 +13,7 @@ from visual_toys import HEIGHT, WIDTH, head, toy_run
 
 from evaluate import run_evaluation
 from evaluate.options import Options, Override
-from evaluate.protocol import named
+from evaluate.protocols.protocol import named
 from evaluate.region_masks import frame_regions, write_region_masks
 from evaluate.run_evaluation import evaluate_run, fitted
 from ggavatar.errors import InputError

@@ -16,8 +16,8 @@ from picture_pairs import pair, write, write_folders
 from evaluate.gather import Labels
 from evaluate.metrics import pixels, ssim
 from evaluate.pairing import pair_folders
-from evaluate.protocol import Protocol, named
-from evaluate.results import read_results, write_results
+from evaluate.protocols.protocol import Protocol, named
+from evaluate.protocols.results import read_results, write_results
 from evaluate.score import in_order, learned_metrics, score
 from ggavatar.errors import InputError
 

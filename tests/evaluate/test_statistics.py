@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluate.statistics import block_length, deviation_over_seeds, paired_bootstrap, summarise
+from evaluate.protocols.statistics import block_length, deviation_over_seeds, paired_bootstrap, summarise
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=60))

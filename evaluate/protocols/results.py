@@ -13,8 +13,8 @@ from typing import Any
 
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import pooled_psnr
-from evaluate.protocol import Protocol, from_dict
-from evaluate.statistics import Summary, summarise
+from evaluate.protocols.protocol import Protocol, from_dict
+from evaluate.protocols.statistics import Summary, summarise
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 

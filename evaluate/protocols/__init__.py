@@ -1,0 +1,1 @@
+"""Evaluation protocols, their results, and statistics over them."""

@@ -1,0 +1,26 @@
+"""Names of methods as tables and figures show them."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+TITLES = MappingProxyType(
+    {
+        "ggavatar": "GGAvatar",
+        "gaussian_avatars": "GaussianAvatars",
+        "flash_avatar": "FlashAvatar",
+        "point_avatar": "PointAvatar",
+        "splatting_avatar": "SplattingAvatar",
+        "mono_gaussian_avatar": "MonoGaussianAvatar",
+        "ggavatar_without_adjuster": "w/o Geometry Morph Adjuster",
+        "ggavatar_without_triplane": "w/o tri-plane",
+        "ggavatar_without_lbs": "w/o LBS",
+        "ggavatar_without_initialization": "w/o initialization",
+    }
+)
+"""Printed names of methods by their names on the command line, as in the paper; others are printed as they are."""
+
+
+def printed(method: str) -> str:
+    """The name of a method as the tables print it."""
+    return TITLES.get(method.replace("-", "_"), method)
