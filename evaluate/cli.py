@@ -14,13 +14,13 @@ from rich.console import Console
 from evaluate.gates import limits_of
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.options import Options, parse
-from evaluate.outputs import build_tables, write_copies, write_tables
 from evaluate.pairing import pair_folders
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.regression import Check, to_github, write_junit
-from evaluate.render_table_terminal import show
 from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
+from evaluate.tables.format_terminal import show
+from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder

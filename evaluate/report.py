@@ -14,13 +14,13 @@ from typing import Any
 
 from evaluate.curves import COLORS
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.outputs import build_tables
 from evaluate.protocols.results import Evaluation, write_text
-from evaluate.render_table_html import STYLE, to_fragment
 from evaluate.report_pictures import report_pictures
 from evaluate.shown import Shown, measured, names_of, worst_frames
-from evaluate.sources_table import ranges
-from evaluate.table import Table
+from evaluate.tables.format_html import STYLE, to_fragment
+from evaluate.tables.provenance import ranges
+from evaluate.tables.table import Table
+from evaluate.tables.write import build_tables
 from ggavatar.errors import InputError
 
 TEMPLATE = "report.html"

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from evaluations import PROTOCOL, evaluation
 
-from evaluate.comparison_table import studies
-from evaluate.outputs import build_tables
-from evaluate.paper_table import NOTE, paper_table_1, paper_table_2, read_paper, with_paper
-from evaluate.render_table_latex import PREAMBLE, TALL, escaped, to_latex
-from evaluate.table import BEST, DASH, SECOND, Table
+from evaluate.tables.format_latex import PREAMBLE, TALL, escaped, to_latex
+from evaluate.tables.paper import NOTE, paper_table_1, paper_table_2, read_paper, with_paper
+from evaluate.tables.study import studies
+from evaluate.tables.table import BEST, DASH, SECOND, Table
+from evaluate.tables.write import build_tables
 
 # R marks what the paper prints on red, Y what it prints on yellow; copied from its source by hand.
 TABLE_1 = """

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from evaluations import evaluation
 
-from evaluate.outputs import build_tables, write_copies, write_tables
+from evaluate.tables.write import build_tables, write_copies, write_tables
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = ("recompute_table.py", "recompute_intervals.py")

@@ -11,16 +11,17 @@ import pytest
 from evaluations import PROTOCOL, evaluation
 from rich.console import Console
 
-from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
-from evaluate.detail_table import detail_table, efficiency_table, significance_table
-from evaluate.outputs import build_tables
-from evaluate.render_table_data import to_csv, to_json
-from evaluate.render_table_html import to_page
-from evaluate.render_table_latex import to_latex
-from evaluate.render_table_markdown import to_markdown
-from evaluate.render_table_terminal import parts, show
-from evaluate.sources_table import ranges
-from evaluate.table import BEST, DASH, SECOND, Cell, Column, Row, Table, missing_cell, number_cell, ranks
+from evaluate.tables.comparison import ablation_table, subjects_table
+from evaluate.tables.details import detail_table, efficiency_table, significance_table
+from evaluate.tables.format_data import to_csv, to_json
+from evaluate.tables.format_html import to_page
+from evaluate.tables.format_latex import to_latex
+from evaluate.tables.format_markdown import to_markdown
+from evaluate.tables.format_terminal import parts, show
+from evaluate.tables.provenance import ranges
+from evaluate.tables.study import Study, studies
+from evaluate.tables.table import BEST, DASH, SECOND, Cell, Column, Row, Table, missing_cell, number_cell, ranks
+from evaluate.tables.write import build_tables
 from ggavatar.errors import InputError
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.table import BEST, SECOND, Cell, Row, Table
+from evaluate.tables.table import BEST, SECOND, Cell, Row, Table
 
 
 def to_markdown(tables: Sequence[Table]) -> str:

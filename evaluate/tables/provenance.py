@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.comparison_table import Study
 from evaluate.protocols.method_names import printed
 from evaluate.protocols.results import Evaluation
-from evaluate.table import Cell, Column, Row, Table, missing_cell
+from evaluate.tables.study import Study
+from evaluate.tables.table import Cell, Column, Row, Table, missing_cell
 
 SHOWN = 16
 """Characters of a SHA-256 that are printed; the cell's reason holds all of them."""

@@ -6,7 +6,7 @@ import dataclasses
 import re
 from collections.abc import Iterator, Sequence
 
-from evaluate.table import BEST, SECOND, Cell, Row, Table
+from evaluate.tables.table import BEST, SECOND, Cell, Row, Table
 
 PREAMBLE = r"""% \usepackage[T1]{fontenc} \usepackage[utf8]{inputenc} \usepackage[table]{xcolor} \usepackage{graphicx}
 """

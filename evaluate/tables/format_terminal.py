@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from evaluate.table import BEST, SECOND, Cell, Column, Table
+from evaluate.tables.table import BEST, SECOND, Cell, Column, Table
 
 STYLES = {BEST: "bold red", SECOND: "yellow"}
 SIGNS = {BEST: "*", SECOND: "'"}

@@ -7,7 +7,7 @@ import io
 import json
 from collections.abc import Sequence
 
-from evaluate.table import Table
+from evaluate.tables.table import Table
 
 WHERE = ("table", "section", "row", "group", "column")
 FIELDS = (*WHERE, "value", "deviation_over_seeds", "text", "mark", "reason", "protocol")

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluate.comparison_table import Study, ablation_table, subjects_table
 from evaluate.protocols.method_names import printed
-from evaluate.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
+from evaluate.tables.comparison import ablation_table, subjects_table
+from evaluate.tables.study import Study
+from evaluate.tables.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
 
 OURS = "Ours"
 PAPER = Path(__file__).with_name("paper.csv")

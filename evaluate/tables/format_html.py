@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from evaluate.table import BEST, SECOND, Cell, Table
+from evaluate.tables.table import BEST, SECOND, Cell, Table
 
 STYLE = """
 .gg-table { border-collapse: collapse; font: 14px/1.4 system-ui, sans-serif; margin: 1em 0; }

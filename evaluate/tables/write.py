@@ -7,24 +7,20 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluate import (
-    render_table_data,
-    render_table_html,
-    render_table_latex,
-    render_table_markdown,
-)
-from evaluate.comparison_table import Study, ablation_table, studies, subjects_table
-from evaluate.detail_table import detail_table, efficiency_table, significance_table
-from evaluate.paper_table import ablation_with_paper, paper_table_1, paper_table_2, with_paper
 from evaluate.protocols.results import Evaluation, to_json, write_text
-from evaluate.sources_table import sources_table
-from evaluate.table import Table
+from evaluate.tables import format_data, format_html, format_latex, format_markdown
+from evaluate.tables.comparison import ablation_table, subjects_table
+from evaluate.tables.details import detail_table, efficiency_table, significance_table
+from evaluate.tables.paper import ablation_with_paper, paper_table_1, paper_table_2, with_paper
+from evaluate.tables.provenance import sources_table
+from evaluate.tables.study import Study, studies
+from evaluate.tables.table import Table
 
 RENDERERS = {
-    "md": render_table_markdown.to_markdown,
-    "tex": render_table_latex.to_latex,
-    "csv": render_table_data.to_csv,
-    "html": render_table_html.to_page,
+    "md": format_markdown.to_markdown,
+    "tex": format_latex.to_latex,
+    "csv": format_data.to_csv,
+    "html": format_html.to_page,
 }
 
 
@@ -65,7 +61,7 @@ def write_tables(tables: Sequence[Table], folder: Path, results: Sequence[Path])
     """
     relative = [Path(os.path.relpath(path, folder)).as_posix() for path in results]
     texts = {f"table.{suffix}": render(tables) for suffix, render in RENDERERS.items()}
-    texts["table.json"] = render_table_data.to_json(tables, relative)
+    texts["table.json"] = format_data.to_json(tables, relative)
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]

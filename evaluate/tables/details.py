@@ -7,12 +7,13 @@ import statistics
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
-from evaluate.comparison_table import Study, missing_notes
 from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.protocols.method_names import printed
 from evaluate.protocols.results import Evaluation
 from evaluate.protocols.statistics import BLOCK_SPAN, RESAMPLES, deviation_over_seeds, paired_bootstrap
-from evaluate.table import Cell, Column, Row, Source, Table, missing_cell, number_cell
+from evaluate.tables.comparison import missing_notes
+from evaluate.tables.study import Study
+from evaluate.tables.table import Cell, Column, Row, Source, Table, missing_cell, number_cell
 
 SPREAD = (("mean", "mean"), ("median", "median"), ("worst_5_percent", "worst 5 %"), ("std_over_frames", "σ frames"))
 
