@@ -12,10 +12,10 @@ import numpy as np
 from skimage.data import astronaut
 
 from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
-from evaluate.gather import Labels
-from evaluate.pairing import FramePair, pair_folders
 from evaluate.protocols.protocol import named
-from evaluate.score import learned_metrics, score
+from evaluate.scoring.accumulator import Labels
+from evaluate.scoring.frame_pairs import FramePair, pair_folders
+from evaluate.scoring.score import learned_metrics, score
 from ggavatar.io.images import write_png
 from ggavatar.pretrained.folders import model_folders
 

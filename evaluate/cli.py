@@ -14,11 +14,11 @@ from rich.console import Console
 from evaluate.gates import limits_of
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.options import Options, parse
-from evaluate.pairing import pair_folders
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.regression import Check, to_github, write_junit
-from evaluate.score import Labels, Perceptual, face_metrics, learned_metrics, score
+from evaluate.scoring.frame_pairs import pair_folders
+from evaluate.scoring.score import Labels, Perceptual, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
 from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.run import run_command
@@ -94,7 +94,7 @@ def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[
         if not is_gaussian_file(path) and (path.is_file() or (path / METRICS_FILE).is_file()):
             evaluations.append(read_results(path))
             continue
-        from evaluate.run_evaluation import evaluate_run
+        from evaluate.scoring.run import evaluate_run
 
         evaluation, files = evaluate_run(path, options, lambda title: _progress(options, console, title))
         evaluations.append(evaluation)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evaluate.comparison_layout import Sample, comparison
-from evaluate.frame_files import common_frames, find_frame, frame_file
+from evaluate.scoring.frame_files import common_frames, find_frame, frame_file
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_png
 

@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from evaluate.frame_files import to_8_bit
-from evaluate.ground_truth import Color
 from evaluate.motion.orbit import turned
+from evaluate.scoring.frame_files import to_8_bit
+from evaluate.scoring.ground_truth import Color
 from evaluate.sheet import Row, resized, sheet
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 

@@ -11,8 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evaluate.frame_files import find_frame
-from evaluate.ground_truth import Color, Truth
 from evaluate.lone_file import LoneFile, open_alone
 from evaluate.motion.motion import Motion, motion_of, read_motion
 from evaluate.motion.orbit import head_center, sweep, turned
@@ -23,7 +21,9 @@ from evaluate.protocols.method_names import printed
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.reenactment_figure import reenactment, telling_rows
 from evaluate.render_views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
-from evaluate.sources import open_file, refuse_file_flags
+from evaluate.scoring.frame_files import find_frame
+from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
+from evaluate.scoring.ground_truth import Color, Truth
 from evaluate.video import playback_fps
 from ggavatar.core import Camera, Drive
 from ggavatar.data.capture import Capture

@@ -18,8 +18,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from evaluate.frame_files import frame_file, to_8_bit
-from evaluate.ground_truth import Color
+from evaluate.scoring.frame_files import frame_file, to_8_bit
+from evaluate.scoring.ground_truth import Color
 from evaluate.video import video_writer
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.errors import InputError

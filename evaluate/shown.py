@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.frame_files import find_frame
 from evaluate.metrics.catalogue import metric_of
 from evaluate.protocols.method_names import printed
 from evaluate.protocols.results import Evaluation
+from evaluate.scoring.frame_files import find_frame
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb
 
@@ -38,7 +38,7 @@ class Shown:
 
     @staticmethod
     def in_folder(evaluation: Evaluation, home: Path) -> Shown:
-        """Pictures and frame rate where `evaluate.predict` wrote them."""
+        """Pictures and frame rate where `evaluate.scoring.predict` wrote them."""
         try:
             fps = float(json.loads((home / "predict.json").read_text(encoding="utf-8"))["identity"]["fps"])
         except (OSError, ValueError, KeyError, TypeError):

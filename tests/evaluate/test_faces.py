@@ -10,12 +10,12 @@ import pytest
 from picture_pairs import write
 from skimage.data import astronaut
 
-from evaluate.gather import Labels
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
-from evaluate.pairing import pair_folders
 from evaluate.protocols.protocol import named
-from evaluate.score import score
+from evaluate.scoring.accumulator import Labels
+from evaluate.scoring.frame_pairs import pair_folders
+from evaluate.scoring.score import score
 from ggavatar.errors import InputError
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.tracker import LandmarkTracker

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from picture_pairs import pair, write, write_folders
 
-from evaluate.pairing import pair_folders
+from evaluate.scoring.frame_pairs import pair_folders
 from ggavatar.errors import InputError
 
 

@@ -11,10 +11,10 @@ import pytest
 import torch
 from visual_toys import HEIGHT, WIDTH, toy_run
 
-from evaluate.ground_truth import Truth
 from evaluate.metrics.efficiency import model_megabytes
-from evaluate.predict import Job, job_of, predict_frames
 from evaluate.protocols.protocol import named
+from evaluate.scoring.ground_truth import Truth
+from evaluate.scoring.predict import Job, job_of, predict_frames
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb
 from ggavatar.training.run_folder import Run

@@ -11,11 +11,11 @@ import pytest
 import torch
 from visual_toys import HEIGHT, WIDTH, head, toy_run
 
-from evaluate import run_evaluation
 from evaluate.options import Options, Override
 from evaluate.protocols.protocol import named
-from evaluate.region_masks import frame_regions, write_region_masks
-from evaluate.run_evaluation import evaluate_run, fitted
+from evaluate.scoring import run as run_evaluation
+from evaluate.scoring.region_masks import frame_regions, write_region_masks
+from evaluate.scoring.run import evaluate_run, fitted
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_png
 from ggavatar.training.run_folder import Run
@@ -121,7 +121,7 @@ def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
 def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     regions = {"face": torch.tensor([0, 1, 3]), "lips": torch.tensor([0, 2, 3]), "scalp": torch.tensor([1, 2, 3])}
     model = dataclasses.replace(head(), regions=regions)
-    monkeypatch.setattr("evaluate.region_masks.load_head", lambda path: model)
+    monkeypatch.setattr("evaluate.scoring.region_masks.load_head", lambda path: model)
     number = run.split.test[0]
     person = np.full((HEIGHT, WIDTH), 255, np.uint8)
     write_png(tmp_path / "masks" / f"{number:06d}.png", person)

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from picture_pairs import pair, write, write_folders
 
-from evaluate.gather import Labels
 from evaluate.metrics import pixels, ssim
-from evaluate.pairing import pair_folders
 from evaluate.protocols.protocol import Protocol, named
 from evaluate.protocols.results import read_results, write_results
-from evaluate.score import in_order, learned_metrics, score
+from evaluate.scoring.accumulator import Labels
+from evaluate.scoring.frame_pairs import pair_folders
+from evaluate.scoring.score import in_order, learned_metrics, score
 from ggavatar.errors import InputError
 
 LABELS = Labels("Anna", "ours", seed=3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from picture_pairs import pair, write
 
-from evaluate.scored_pictures import read_scored, read_weights
+from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
 
 

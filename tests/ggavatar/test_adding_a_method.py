@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from evaluate.options import Options
-from evaluate.run_evaluation import evaluate_run
+from evaluate.scoring.run import evaluate_run
 from ggavatar.data.capture import Capture
 from ggavatar.training import registry
 from ggavatar.training.session import train_run

@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from evaluate.frame_files import frame_file, to_8_bit
-from evaluate.ground_truth import Pictures, Truth
 from evaluate.metrics.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
 from evaluate.protocols.protocol import GIVEN, Protocol
+from evaluate.scoring.frame_files import frame_file, to_8_bit
+from evaluate.scoring.ground_truth import Pictures, Truth
 from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically

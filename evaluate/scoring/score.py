@@ -12,15 +12,15 @@ from typing import TypeVar, runtime_checkable
 
 import numpy as np
 
-from evaluate.gather import Gathering, Labels, Scored
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.metrics.per_frame import measure_pixels
 from evaluate.metrics.regions import boundary_band, painted_outside
-from evaluate.pairing import FramePair
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
-from evaluate.scored_pictures import read_scored, read_weights
+from evaluate.scoring.accumulator import Gathering, Labels, Scored
+from evaluate.scoring.frame_pairs import FramePair
+from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
 
 Item = TypeVar("Item")

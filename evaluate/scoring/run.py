@@ -9,15 +9,15 @@ from typing import Any
 
 import torch
 
-from evaluate.gather import Labels
 from evaluate.options import Options
-from evaluate.pairing import pair_folders
-from evaluate.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
-from evaluate.region_masks import write_region_masks
-from evaluate.score import OFF, face_metrics, learned_metrics, score, unavailable
-from evaluate.sources import open_file, refuse_file_flags
+from evaluate.scoring.accumulator import Labels
+from evaluate.scoring.frame_pairs import pair_folders
+from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
+from evaluate.scoring.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
+from evaluate.scoring.region_masks import write_region_masks
+from evaluate.scoring.score import OFF, face_metrics, learned_metrics, score, unavailable
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 
-from evaluate.frame_files import frame_file
 from evaluate.metrics.regions import MESH_REGIONS, hair_region, mesh_regions
+from evaluate.scoring.frame_files import frame_file
 from ggavatar.core import Camera, Drive
 from ggavatar.geometry.transforms import project
 from ggavatar.head.files import load_head

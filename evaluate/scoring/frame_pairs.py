@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from evaluate.frame_files import frame_files
+from evaluate.scoring.frame_files import frame_files
 from ggavatar.errors import InputError
 from ggavatar.io.images import picture_header
 

@@ -1,0 +1,1 @@
+"""From runs and folders of images to scores."""
