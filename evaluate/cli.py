@@ -11,12 +11,12 @@ from typing import Any
 
 from rich.console import Console
 
-from evaluate.gates import limits_of
+from evaluate.gates.checks import Check, to_github, write_junit
+from evaluate.gates.limits import limits_of
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.options import Options, parse
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
-from evaluate.regression import Check, to_github, write_junit
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, Perceptual, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import pytest
 from evaluations import PROTOCOL, evaluation
 
+from evaluate.gates.checks import Check, check_limits, compare, parse_limits, resolved, to_github, to_junit
 from evaluate.protocols.protocol import named
-from evaluate.regression import Check, check_limits, compare, parse_limits, resolved, to_github, to_junit
 from ggavatar.errors import InputError
 
 

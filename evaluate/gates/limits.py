@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from evaluate.gates.checks import Check, check_limits, compare, parse_limits
 from evaluate.options import Gates
 from evaluate.protocols.results import Evaluation, read_results
-from evaluate.regression import Check, check_limits, compare, parse_limits
 from ggavatar.errors import InputError
 
 
