@@ -145,8 +145,8 @@ def found_faces(options: Options, protocol: Protocol) -> FaceMetrics | None:
 
 def _visuals(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:
     """Report, comparison, video and curves of every evaluation with pictures, and comparisons of methods."""
-    from evaluate.shown import Shown
-    from evaluate.visuals import write_studies, write_visuals
+    from evaluate.figures.evaluation_images import Shown
+    from evaluate.figures.write import write_studies, write_visuals
 
     if options.folders.pred and options.folders.gt:
         pairs = [(folder, Shown(evaluations[0], options.folders.pred, options.folders.gt))]

@@ -18,9 +18,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from evaluate.figures.video import video_writer
 from evaluate.scoring.frame_files import frame_file, to_8_bit
 from evaluate.scoring.ground_truth import Color
-from evaluate.video import video_writer
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically

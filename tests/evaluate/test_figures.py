@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluate.comparison import load_sample, typical_frames, write_comparison
-from evaluate.comparison_layout import Sample, comparison
-from evaluate.crops import Crop, choose_crops
-from evaluate.heatmap import colored, scale_bar, shared_limit
-from evaluate.lettering import coverage, fitted, put
+from evaluate.figures.comparison import load_sample, typical_frames, write_comparison
+from evaluate.figures.comparison_layout import Sample, comparison
+from evaluate.figures.contact_sheet import GAP, Row, resized, sheet
+from evaluate.figures.crops import Crop, choose_crops
+from evaluate.figures.error_map import colored, scale_bar, shared_limit
+from evaluate.figures.text import coverage, fitted, put
 from evaluate.scoring.frame_files import common_frames, frame_file, frame_files
-from evaluate.sheet import GAP, Row, resized, sheet
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb, write_png
 

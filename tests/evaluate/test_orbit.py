@@ -8,8 +8,8 @@ import pytest
 import torch
 from visual_toys import ToyAvatar, camera, head
 
+from evaluate.figures.novel_views import PITCHES, YAWS, novel_views, views_at
 from evaluate.motion.orbit import head_center, sweep, turned
-from evaluate.novel_views import PITCHES, YAWS, novel_views, views_at
 from ggavatar.geometry.transforms import invert_rigid, project
 from ggavatar.render.reference import rasterize
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from visual_toys import COUNT, JOINTS, write_capture
 
+from evaluate.figures.reenactment import reenactment, telling_rows
 from evaluate.motion.motion import Cameras, Motion, motion_of, read_motion
 from evaluate.motion.retarget import basis_family, fitted_to
 from evaluate.motion.smoothing import one_euro, savgol, smoothed
 from evaluate.motion.transfer import Transfer, limited, neutral_row, soft_clip, transferred
-from evaluate.reenactment_figure import reenactment, telling_rows
 from ggavatar.errors import InputError
 
 RAW = Transfer(smooth="none", margin=None)

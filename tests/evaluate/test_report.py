@@ -16,15 +16,15 @@ import pytest
 from browser import chromium, opened
 
 from evaluate.cli import main
-from evaluate.curves import curves, write_curves
+from evaluate.figures.curves import curves, write_curves
+from evaluate.figures.evaluation_images import Shown, names_of, worst_frames
+from evaluate.figures.report import report_data, write_report
+from evaluate.figures.report_images import report_pictures
+from evaluate.figures.worst_frames import worst_sheet
+from evaluate.figures.write import write_studies, write_visuals
 from evaluate.protocols.protocol import named
 from evaluate.protocols.results import Evaluation, write_results
-from evaluate.report import report_data, write_report
-from evaluate.report_pictures import report_pictures
 from evaluate.scoring.frame_files import frame_file
-from evaluate.shown import Shown, names_of, worst_frames
-from evaluate.visuals import write_studies, write_visuals
-from evaluate.worst import worst_sheet
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb, write_png
 

@@ -8,8 +8,8 @@ import av
 import numpy as np
 import pytest
 
+from evaluate.figures.video import playback_fps, video_writer, write_side_by_side
 from evaluate.scoring.frame_files import frame_file
-from evaluate.video import playback_fps, video_writer, write_side_by_side
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluate.comparison_layout import Sample, comparison
+from evaluate.figures.comparison_layout import Sample, comparison
 from evaluate.scoring.frame_files import common_frames, find_frame, frame_file
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_grey, read_rgb, write_png

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.crops import Crop, choose_crops
-from evaluate.heatmap import colored, scale_bar, shared_limit
-from evaluate.lettering import INK, MUTED, PAPER, Color, coverage, put
+from evaluate.figures.contact_sheet import GAP, Row, resized, sheet, type_size
+from evaluate.figures.crops import Crop, choose_crops
+from evaluate.figures.error_map import colored, scale_bar, shared_limit
+from evaluate.figures.text import INK, MUTED, PAPER, Color, coverage, put
 from evaluate.metrics.pixels import absolute_error, psnr
-from evaluate.sheet import GAP, Row, resized, sheet, type_size
 
 CROP_COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (0, 114, 178))
 

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from evaluate.figures.contact_sheet import Row, resized, sheet
 from evaluate.motion.orbit import turned
 from evaluate.scoring.frame_files import to_8_bit
 from evaluate.scoring.ground_truth import Color
-from evaluate.sheet import Row, resized, sheet
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 
 YAWS = (-40.0, -25.0, -12.0, 0.0, 12.0, 25.0, 40.0)

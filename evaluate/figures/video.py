@@ -13,11 +13,11 @@ import numpy as np
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 from jaxtyping import UInt8
 
-from evaluate.heatmap import colored, shared_limit
-from evaluate.lettering import INK, MUTED, strip
+from evaluate.figures.contact_sheet import type_size
+from evaluate.figures.error_map import colored, shared_limit
+from evaluate.figures.text import INK, MUTED, strip
 from evaluate.metrics.pixels import absolute_error, psnr
 from evaluate.scoring.frame_files import common_frames, frame_files
-from evaluate.sheet import type_size
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb
 

@@ -12,11 +12,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from evaluate.curves import COLORS
+from evaluate.figures.curves import COLORS
+from evaluate.figures.evaluation_images import Shown, measured, names_of, worst_frames
+from evaluate.figures.report_images import report_pictures
 from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.protocols.results import Evaluation, write_text
-from evaluate.report_pictures import report_pictures
-from evaluate.shown import Shown, measured, names_of, worst_frames
 from evaluate.tables.format_html import STYLE, to_fragment
 from evaluate.tables.provenance import ranges
 from evaluate.tables.table import Table

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from evaluate.figures.contact_sheet import Row, resized, sheet
 from evaluate.motion.motion import Motion
-from evaluate.sheet import Row, resized, sheet
 
 
 def reenactment(

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluate.heatmap import colored, shared_limit
+from evaluate.figures.contact_sheet import Row, resized, sheet
+from evaluate.figures.error_map import colored, shared_limit
+from evaluate.figures.evaluation_images import Shown, worst_frames
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import absolute_error
-from evaluate.sheet import Row, resized, sheet
-from evaluate.shown import Shown, worst_frames
 from ggavatar.io.images import write_png
 
 

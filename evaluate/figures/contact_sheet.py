@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.lettering import INK, MUTED, PAPER, fitted, put, strip
+from evaluate.figures.text import INK, MUTED, PAPER, fitted, put, strip
 
 GAP = 6
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from evaluate.comparison import load_sample, typical_frames, write_comparison
-from evaluate.comparison_layout import comparison
-from evaluate.curves import write_curves
+from evaluate.figures.comparison import load_sample, typical_frames, write_comparison
+from evaluate.figures.comparison_layout import comparison
+from evaluate.figures.curves import write_curves
+from evaluate.figures.evaluation_images import Shown, names_of
+from evaluate.figures.report import write_report
+from evaluate.figures.video import write_side_by_side
+from evaluate.figures.worst_frames import write_worst_frames
 from evaluate.protocols.results import METRICS_FILE
-from evaluate.report import write_report
-from evaluate.shown import Shown, names_of
-from evaluate.video import write_side_by_side
-from evaluate.worst import write_worst_frames
 from ggavatar.io.images import write_png
 
 REPORT, COMPARISON, VIDEO, CURVES, WORST = (

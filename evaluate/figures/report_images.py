@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.heatmap import colored, shared_limit
+from evaluate.figures.contact_sheet import resized
+from evaluate.figures.error_map import colored, shared_limit
+from evaluate.figures.evaluation_images import Shown, worst_frames
 from evaluate.metrics.pixels import absolute_error
-from evaluate.sheet import resized
-from evaluate.shown import Shown, worst_frames
 
 QUALITY, ERROR_QUALITY = 88, 70
 LARGEST_SIDE = 768

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from evaluate.figures.evaluation_images import Shown, measured, names_of
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.shown import Shown, measured, names_of
 from ggavatar.io.atomic import write_atomically
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B")
