@@ -12,7 +12,7 @@ import torch
 from visual_toys import camera, head, toy_run, write_capture
 
 from evaluate import cli, render_cli
-from evaluate.lone_file import extent, open_alone
+from evaluate.rendering.standalone_file import extent, open_alone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
@@ -100,7 +100,7 @@ def _one_ball() -> Gaussians:
 def test_orbit_without_a_capture(
     plain: Path, bound: Path, capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("evaluate.lone_file.SIDE", 64)
+    monkeypatch.setattr("evaluate.rendering.standalone_file.SIDE", 64)
     orbit = ("--orbit", "--views", 3)
     assert render(monkeypatch, plain, *orbit) == 0
     folder = tmp_path / "baked" / "renders" / "orbit"
@@ -198,7 +198,7 @@ def test_eval_of_a_file_needs_a_capture(plain: Path, tmp_path: Path, capsys: pyt
 
 def test_a_run_whose_capture_moved(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     """--capture with a run goes to `open_run`."""
-    import evaluate.render_jobs as jobs
+    import evaluate.rendering.jobs as jobs
 
     made, asked = toy_run(tmp_path / "home"), []
     monkeypatch.setattr(jobs, "open_run", lambda *given: asked.append(given) or made)

@@ -13,9 +13,9 @@ import pytest
 import torch
 from visual_toys import COUNT, HEIGHT, WIDTH, toy_run, write_capture
 
-import evaluate.render_jobs
+import evaluate.rendering.jobs
 from evaluate.render_cli import counter, main
-from evaluate.render_views import straight_alpha
+from evaluate.rendering.views import straight_alpha
 from ggavatar.io.images import read_rgb
 from ggavatar.training.run_folder import Run
 
@@ -23,7 +23,7 @@ from ggavatar.training.run_folder import Run
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     made = toy_run(tmp_path)
-    monkeypatch.setattr(evaluate.render_jobs, "open_run", lambda *_: made)
+    monkeypatch.setattr(evaluate.rendering.jobs, "open_run", lambda *_: made)
     return made
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from evaluate import render_views
-from evaluate.render_views import Output, View
+from evaluate.rendering import views as render_views
+from evaluate.rendering.views import Output, View
 from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.io.images import read_rgb
 

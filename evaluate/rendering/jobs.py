@@ -14,14 +14,14 @@ from torch import Tensor
 from evaluate.figures.novel_views import novel_views
 from evaluate.figures.reenactment import reenactment, telling_rows
 from evaluate.figures.video import playback_fps
-from evaluate.lone_file import LoneFile, open_alone
 from evaluate.motion.motion import Motion, motion_of, read_motion
 from evaluate.motion.orbit import head_center, sweep, turned
 from evaluate.motion.retarget import drives_of, fitted_to
 from evaluate.motion.transfer import Transfer, neutral_row, transferred
 from evaluate.protocols.method_names import printed
 from evaluate.protocols.protocol import GIVEN, Protocol
-from evaluate.render_views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
+from evaluate.rendering.standalone_file import LoneFile, open_alone
+from evaluate.rendering.views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
 from evaluate.scoring.frame_files import find_frame
 from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
 from evaluate.scoring.ground_truth import Color, Truth
@@ -35,7 +35,7 @@ from ggavatar.io.images import read_rgb, write_png
 from ggavatar.training.run_folder import Run, open_run
 
 if TYPE_CHECKING:
-    from evaluate.render_cli import Options
+    from evaluate.rendering.options import Options
 
 COLUMNS = 6
 FPS = 25.0

@@ -1,0 +1,1 @@
+"""Drawing trained avatars into folders and videos."""
