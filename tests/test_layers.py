@@ -102,7 +102,7 @@ def test_room_names_say_what_is_inside(path: Path) -> None:
         "preprocess.cli.prep",
         "preprocess.cli.doctor",
         "preprocess.synthetic.cli",
-        "evaluate.cli",
+        "evaluate.cli.evaluate",
         "ggavatar.data.capture",
     ],
 )

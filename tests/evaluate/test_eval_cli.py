@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from picture_pairs import pair, write, write_folders
 
-from evaluate.cli import main
+from evaluate.cli.evaluate import main
 
 PLAIN = ["--no-report", "--quiet", "--metrics", "psnr", "ssim"]
 
@@ -171,7 +171,7 @@ def test_a_path_with_a_leading_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 SCRIPT = """
 import sys
-from evaluate.cli import main
+from evaluate.cli.evaluate import main
 try:
     code = main(sys.argv[1:])
 except SystemExit as caught:

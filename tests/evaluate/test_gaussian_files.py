@@ -11,7 +11,8 @@ import pytest
 import torch
 from visual_toys import camera, head, toy_run, write_capture
 
-from evaluate import cli, render_cli
+from evaluate.cli import evaluate as cli
+from evaluate.cli import render as render_cli
 from evaluate.rendering.standalone_file import extent, open_alone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture

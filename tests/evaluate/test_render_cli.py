@@ -14,7 +14,7 @@ import torch
 from visual_toys import COUNT, HEIGHT, WIDTH, toy_run, write_capture
 
 import evaluate.rendering.jobs
-from evaluate.render_cli import counter, main
+from evaluate.cli.render import counter, main
 from evaluate.rendering.views import straight_alpha
 from ggavatar.io.images import read_rgb
 from ggavatar.training.run_folder import Run

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from browser import chromium, opened
 
-from evaluate.cli import main
+from evaluate.cli.evaluate import main
 from evaluate.figures.curves import curves, write_curves
 from evaluate.figures.evaluation_images import Shown, names_of, worst_frames
 from evaluate.figures.report import report_data, write_report

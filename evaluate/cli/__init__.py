@@ -1,0 +1,1 @@
+"""The commands ggavatar-eval and ggavatar-render."""
