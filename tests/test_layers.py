@@ -101,7 +101,7 @@ def test_room_names_say_what_is_inside(path: Path) -> None:
     [
         "preprocess.cli.prep",
         "preprocess.cli.doctor",
-        "preprocess.synthetic.cli",
+        "preprocess.cli.demo",
         "evaluate.cli.evaluate",
         "ggavatar.data.capture",
     ],

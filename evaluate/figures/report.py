@@ -56,7 +56,7 @@ def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) ->
         "PROVENANCE": "".join(_provenance(one, name) for one, name in zip(evaluations, names_of(shown), strict=True)),
         "DATA": json.dumps(report_data(shown, megabytes), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c"),
     }
-    page = (files("evaluate") / TEMPLATE).read_text(encoding="utf-8")
+    page = (files("evaluate.figures") / TEMPLATE).read_text(encoding="utf-8")
     write_text(path, re.sub(r"<!--([A-Z-]+)-->", lambda found: parts[found[1]], page))
 
 

@@ -71,7 +71,7 @@ def bind_in_torch(
 
 
 class _CompiledBind(torch.autograd.Function):
-    """The compiled kernels of `ggavatar.gaussians.binding_kernel`; triangles bring their quaternions if these carry gradient."""
+    """The compiled kernels beside; triangles bring their quaternions if these carry gradient."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:

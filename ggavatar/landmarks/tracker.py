@@ -29,7 +29,7 @@ class Landmarks:
         points: Image positions, px (pixel centres at +0.5).
         depth: The network's guess of relative depth in px of the image, smaller is nearer; weak-perspective, so a hint
             only.
-        blendshapes: Scores in [0, 1] in the order of `ggavatar.landmarks.blendshapes.NAMES`; zeros without their network.
+        blendshapes: Scores in [0, 1] in the order of `blendshapes.NAMES`; zeros without their network.
         presence: Confidence in [0, 1] that the region shows a face.
     """
 

@@ -41,7 +41,7 @@ def test_ablations_of_table_2_are_command_line_names() -> None:
 
 def test_listing_imports_neither_torch_nor_a_method() -> None:
     code = (
-        "import sys; from ggavatar import registry; registry.names(); "
+        "import sys; from ggavatar.training import registry; registry.names(); "
         "print('torch' in sys.modules, 'ggavatar.methods.ggavatar' in sys.modules)"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

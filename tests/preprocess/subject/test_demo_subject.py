@@ -16,7 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import rotation_6d_to_matrix
 from ggavatar.head.files import load_head
 from ggavatar.head.procedural.model import procedural_names
-from preprocess.synthetic import cli
+from preprocess.cli import demo as cli
 from preprocess.synthetic.animation.motion import GESTURES, VISEMES, Motion, perform
 from preprocess.synthetic.demo import Settings, true_tracking, write_demo
 from preprocess.synthetic.output_folder import claim
