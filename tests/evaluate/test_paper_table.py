@@ -71,7 +71,7 @@ def test_table_1_has_the_papers_60_cells_and_heading() -> None:
 
 
 def test_every_row_of_the_csv_says_that_the_protocol_is_not_stated() -> None:
-    text = (Path(__file__).parents[2] / "evaluate" / "paper.csv").read_text(encoding="utf-8").splitlines()
+    text = (Path(__file__).parents[2] / "evaluate" / "tables" / "paper.csv").read_text(encoding="utf-8").splitlines()
     assert len(text) == 26
     assert all(line.endswith("protocol not stated") for line in text[1:])
     assert len(read_paper()) == 25

@@ -14,7 +14,7 @@ import pytest
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.data.splits import Split, split_frames
 from ggavatar.errors import InputError
-from ggavatar.io import images, npz
+from ggavatar.io import atomic, images, npz
 from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
 
@@ -263,7 +263,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
     calls = 0
 
     def failing(stop):
-        original = npz.os.replace
+        original = atomic.os.replace
         state = {"left": stop}
 
         def replace(source, target):
@@ -276,7 +276,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
     for stop in range(11):
         with monkeypatch.context() as patch:
-            patch.setattr(npz.os, "replace", failing(stop))
+            patch.setattr(atomic.os, "replace", failing(stop))
             with pytest.raises(OSError, match="No space left"):
                 a_capture(tmp_path / "cap").write(pictures_of(NUMBERS), head_arrays())
         assert list(tmp_path.iterdir()) == []
@@ -286,7 +286,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
 def test_interrupted_write_keeps_the_old_file(folder, monkeypatch):
     before = (folder / "tracking.npz").read_bytes()
-    monkeypatch.setattr(npz.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
+    monkeypatch.setattr(atomic.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
     with pytest.raises(OSError, match="full"):
         write_npz(folder / "tracking.npz", {"x": np.zeros(3)})
     assert (folder / "tracking.npz").read_bytes() == before

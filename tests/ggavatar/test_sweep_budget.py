@@ -12,6 +12,7 @@ import pytest
 from ggavatar.cli import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.sweeps import cell as cells
 from ggavatar.sweeps.time_budget import PILOT_STEPS, Moment, seconds_per_step, steps_within
 
 STUB = """#!{python}
@@ -35,7 +36,7 @@ def stub(folder: Path, monkeypatch: pytest.MonkeyPatch, code: int = 0, pilot_cod
     script = folder / "ggavatar-train"
     script.write_text(STUB.format(python=sys.executable, code=code, pilot_code=pilot_code))
     script.chmod(0o755)
-    monkeypatch.setattr(sweep, "console_script", lambda name: str(folder / name))
+    monkeypatch.setattr(cells, "console_script", lambda name: str(folder / name))
     return folder / "calls"
 
 
@@ -43,8 +44,8 @@ def calls(listed: Path) -> list[list[str]]:
     return [json.loads(line) for line in listed.read_text().splitlines()]
 
 
-def cell(folder: Path) -> sweep.Cell:
-    return sweep.Cell(folder, "ggavatar", 7, folder / "grid" / "seed-7")
+def cell(folder: Path) -> cells.Cell:
+    return cells.Cell(folder, "ggavatar", 7, folder / "grid" / "seed-7")
 
 
 def test_start_up_is_left_out_and_slow_stages_count_in_proportion() -> None:
@@ -62,20 +63,20 @@ def test_a_pilot_without_times_is_refused(moments: list[Moment]) -> None:
 
 def test_pilot_sets_the_length_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed, ours = stub(tmp_path, monkeypatch, code=1), cell(tmp_path)
-    assert sweep.train_cell(ours, ("--preset", "fast"), 2.0) == 1
+    assert cells.train_cell(ours, ("--preset", "fast"), 2.0) == 1
     pilot, training = calls(listed)
     assert pilot[3].endswith("seed-7-pilot") and "--preset" in pilot and "7" in pilot
     assert pilot[pilot.index("--steps") + 1] == str(PILOT_STEPS)
     assert training[training.index("--steps") + 1] == "240", "two minutes of half seconds"
     assert not ours.pilot.folder.exists()
-    sweep.train_cell(ours, ("--preset", "fast"), 2.0)
+    cells.train_cell(ours, ("--preset", "fast"), 2.0)
     assert len(calls(listed)) == 3 and "--resume" in calls(listed)[2], "what has begun has no second pilot"
 
 
 def test_a_pilot_that_fails_is_the_cells_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed, ours = stub(tmp_path, monkeypatch, pilot_code=130), cell(tmp_path)
     os.makedirs(ours.pilot.folder)
-    assert sweep.train_cell(ours, (), 2.0) == 130
+    assert cells.train_cell(ours, (), 2.0) == 130
     assert len(calls(listed)) == 1 and not ours.pilot.folder.exists() and not ours.folder.exists()
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ggavatar.cli import sweep
-from ggavatar.cli import train as cli
+from ggavatar.cli import train as train_command
 from ggavatar.cli.train import Arguments, options_of
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -20,15 +20,15 @@ def train(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     """Run the entry point in this process."""
     monkeypatch.setattr(sys, "argv", ["ggavatar-train", *words])
     try:
-        return cli.train()
+        return train_command.train()
     except SystemExit as stop:
         return int(stop.code or 0)
 
 
 def test_help_lists_methods_and_starts_without_torch() -> None:
     code = (
-        "import sys; sys.argv = ['ggavatar-train', '--help']\nfrom ggavatar import cli\n"
-        "try: cli.train()\nfinally: print('torch' in sys.modules)"
+        "import sys; sys.argv = ['ggavatar-train', '--help']\nfrom ggavatar.cli import train\n"
+        "try: train.train()\nfinally: print('torch' in sys.modules)"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert shown.returncode == 0 and shown.stdout.rstrip().endswith("False")

@@ -284,9 +284,9 @@ def test_flame_versions_never_mix(clip, tmp_path, capsys):
 
 
 def test_full_disk(clip, tmp_path, monkeypatch, capsys):
-    from ggavatar.io import npz
+    from ggavatar.io import atomic
 
-    original, left = npz.os.replace, 30
+    original, left = atomic.os.replace, 30
 
     def replace(source, target):
         nonlocal left
@@ -295,7 +295,7 @@ def test_full_disk(clip, tmp_path, monkeypatch, capsys):
             raise OSError(errno.ENOSPC, "No space left on device", str(target))
         original(source, target)
 
-    monkeypatch.setattr(npz.os, "replace", replace)
+    monkeypatch.setattr(atomic.os, "replace", replace)
     assert run(clip, tmp_path / "c") == 1
     assert "free some space" in said(capsys)
     assert not list((tmp_path / "c").rglob("*.part"))
