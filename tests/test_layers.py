@@ -1,10 +1,13 @@
-"""The shape of the house: import arrows, file and function sizes, what must never appear, what starts without torch."""
+"""The structure of the packages: layers, file and function sizes, what must never appear, what starts without torch."""
 
 from __future__ import annotations
 
 import ast
 import importlib
 import importlib.metadata
+import os
+import shutil
+import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -15,40 +18,73 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 NAMES = [str(path.relative_to(ROOT)) for path in SOURCES]
-ALLOWED = {"ggavatar": {"ggavatar"}, "preprocess": {"ggavatar", "preprocess"}, "evaluate": {"ggavatar", "evaluate"}}
-RANK = {"core": 0, "errors": 0, "process": 0, "acceleration": 0, "compiled": 0, "geometry": 1, "triangle_kernel": 1}
-RANK |= {"methods": 3, "trainer": 4, "cli": 5, "sweep": 5, "session": 5}
 UNPICKLER = "ggavatar/io/restricted_pickle.py"
 
 
-def imported_modules(path: Path) -> set[str]:
-    """Absolute names of all modules a file imports, wherever in the file."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            found.add(node.module or "")
-    return found
+def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
+    """Check the contracts in pyproject.toml on the packages below `root`."""
+    command = [sys.executable, "-c", "from importlinter.cli import lint_imports_command as run; run()", "--no-cache"]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    return subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=NAMES)
-def test_arrows_between_packages(path: Path) -> None:
-    package = path.relative_to(ROOT).parts[0]
-    ours = {name.split(".")[0] for name in imported_modules(path)} & set(PACKAGES)
-    assert ours <= ALLOWED[package]
+@pytest.fixture(scope="module")
+def copied_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The packages and the contracts, to plant faults in."""
+    root = tmp_path_factory.mktemp("tree")
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", root)
+    return root
 
 
-def test_arrows_inside_ggavatar() -> None:
-    wrong = []
-    for path in (ROOT / "ggavatar").rglob("*.py"):
-        own = RANK.get(path.relative_to(ROOT / "ggavatar").parts[0].removesuffix(".py"), 2)
-        for name in imported_modules(path):
-            parts = name.split(".")
-            if parts[0] == "ggavatar" and len(parts) > 1 and RANK.get(parts[1], 2) > own:
-                wrong.append(f"{path.relative_to(ROOT)} imports {name}")
-    assert not wrong
+def test_layers_hold(copied_tree: Path) -> None:
+    checked = lint_imports(copied_tree)
+    assert checked.returncode == 0, checked.stdout
+
+
+@pytest.mark.parametrize(
+    ("file", "planted", "contract"),
+    [
+        ("ggavatar/io/npz.py", "from ggavatar.training.plan import preset", "Rooms of ggavatar"),
+        ("ggavatar/head/model.py", "from ggavatar.gaussians import binding", "Rooms of ggavatar"),
+        ("ggavatar/data/capture.py", "import preprocess.options", "preprocess -> ggavatar <- evaluate"),
+        (
+            "evaluate/metrics/ssim.py",
+            "from preprocess.options import PrepOptions",
+            "preprocess -> ggavatar <- evaluate",
+        ),
+        ("evaluate/metrics/ssim.py", "from evaluate.scoring.score import score", "Rooms of evaluate"),
+        ("preprocess/video/crop.py", "from preprocess.pipeline import stage", "Rooms of preprocess"),
+        ("ggavatar/methods/flash_avatar.py", "from ggavatar.methods import ggavatar", "Methods know no other method"),
+        ("ggavatar/jit/simd.py", "from ggavatar.jit import memory", "circle"),
+    ],
+)
+def test_a_planted_arrow_breaks_its_contract(copied_tree: Path, file: str, planted: str, contract: str) -> None:
+    path = copied_tree / file
+    text = path.read_text()
+    path.write_text(f"{text}\n{planted}\n")
+    checked = lint_imports(copied_tree)
+    path.write_text(text)
+    broken = [line for line in checked.stdout.splitlines() if "BROKEN" in line]
+    assert checked.returncode == 1 and any(contract in line for line in broken), checked.stdout
+
+
+def test_a_room_without_a_place_is_noticed(copied_tree: Path) -> None:
+    room = copied_tree / "ggavatar" / "attic"
+    room.mkdir()
+    (room / "__init__.py").write_text("")
+    checked = lint_imports(copied_tree)
+    shutil.rmtree(room)
+    assert checked.returncode == 1 and "attic" in checked.stdout
+
+
+def test_rooms_can_be_overlooked() -> None:
+    """No folder holds more than 25 files, half of them at most 9, and package roots next to none."""
+    sizes = {folder: len(list(folder.glob("*.py"))) for folder in {path.parent for path in SOURCES}}
+    assert max(sizes.values()) <= 25
+    assert statistics.median(sizes.values()) <= 9
+    assert all(sizes[ROOT / package] <= 3 for package in PACKAGES)
 
 
 @pytest.mark.parametrize("package", PACKAGES)

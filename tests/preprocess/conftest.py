@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from made_up_subject import Clip, make_clip
+
+from tests.support.synthetic_clip import Clip, make_clip
 
 
 @pytest.fixture(scope="session")

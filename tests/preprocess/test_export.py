@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made_up_subject import as_tracking, ball_head, make_clip, moving_record
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -16,6 +15,7 @@ from preprocess.cli.prep import main
 from preprocess.export import centred, export_flash_avatar, export_gaussian_avatars, posed_by_camera, posed_by_flame
 from preprocess.formats.importers import metrical_tracker, vhap
 from preprocess.tracking.geometry.projection import posed_vertices, project
+from tests.support.synthetic_clip import as_tracking, ball_head, make_clip, moving_record
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ The published formula, written out with numpy in float64.
 from __future__ import annotations
 
 import pickle
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,36 +15,7 @@ import torch
 from ggavatar.core import Drive
 from ggavatar.errors import InputError
 from ggavatar.head.flame import flame_version, is_flame, load_flame
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from test_unpickle import chumpy_pickle
-
-VERTICES, FACES = 40, 60
-
-
-def flame_values(seed: int = 0) -> dict[str, np.ndarray]:
-    generator = np.random.default_rng(seed)
-    weights = generator.uniform(0, 1, (VERTICES, 5))
-    regressor = generator.uniform(0, 1, (5, VERTICES))
-    return {
-        "v_template": generator.normal(0, 0.1, (VERTICES, 3)),
-        "f": generator.integers(0, VERTICES, (FACES, 3)).astype(np.uint32),
-        "weights": weights / weights.sum(axis=1, keepdims=True),
-        "posedirs": generator.normal(0, 0.001, (VERTICES, 3, 36)),
-        "shapedirs": generator.normal(0, 0.002, (VERTICES, 3, 400)),
-        "J_regressor": regressor / regressor.sum(axis=1, keepdims=True),
-        "kintree_table": np.array([[4294967295, 0, 1, 1, 1], [0, 1, 2, 3, 4]], dtype=np.uint32),
-    }
-
-
-def write_model(path, values):
-    """As the official file: shapedirs as chumpy, the regressor sparse, the rest plain; protocol 2."""
-    import scipy.sparse
-
-    sparse = scipy.sparse.csc_matrix(values["J_regressor"])
-    state = {"_shape": sparse.shape, "data": sparse.data, "indices": sparse.indices, "indptr": sparse.indptr}
-    stored = {**values, "shapedirs": ("ch", {"x": values["shapedirs"]}), "J_regressor": ("csc", state)}
-    path.write_bytes(chumpy_pickle({**stored, "bs_type": "lrotmin", "bs_style": "lbs"}))
+from tests.support.flame_files import FACES, VERTICES, flame_values, write_model
 
 
 def rodrigues(vector):

@@ -6,13 +6,13 @@ import math
 
 import pytest
 import torch
-from scenes import random_camera, random_gaussians
 
 from ggavatar.core import Camera, Gaussians
 from ggavatar.errors import InputError
 from ggavatar.render import reference
 from ggavatar.render.harmonics import C0, sh_basis, used_degree
 from ggavatar.render.projection import project
+from tests.support.render_scenes import random_camera, random_gaussians
 
 DOUBLE = torch.float64
 BLACK = torch.zeros(3, dtype=DOUBLE)

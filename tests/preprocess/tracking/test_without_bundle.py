@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from drawn_skin import freckled
 from scipy.spatial.transform import Rotation
 
 from ggavatar.landmarks.average_face import drawn_face
@@ -29,6 +28,7 @@ from preprocess.tracking.pose.outline_cue import WIDTH, Edges, reduced_distances
 from preprocess.tracking.pose.texture_images import SkinPictures, skin_picture
 from preprocess.tracking.torso.torso import TorsoMotions
 from preprocess.tracking.tracker import track_landmarks
+from tests.support.freckled_face import freckled
 
 FRAMES, SIZE, FOCAL = 40, 512, 1100.0
 NOISE = 0.3

@@ -1,0 +1,197 @@
+"""ggavatar-eval from the outside: exit codes, files, gates, and what it does not import."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from evaluate.cli.evaluate import main
+from tests.support.image_pairs import pair, write, write_folders
+
+PLAIN = ["--no-report", "--quiet", "--metrics", "psnr", "ssim"]
+
+
+def score(folder: Path, *extra: str, method: str = "ours") -> int:
+    """Score the folders written by `write_folders` into `folder/METHOD`."""
+    folders = ["--pred", str(folder / "pred"), "--gt", str(folder / "gt"), "--subject", "Anna", "--method", method]
+    return main([*folders, "-o", str(folder / method), *PLAIN, *extra])
+
+
+def test_folders_give_a_table_and_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folders(tmp_path, [1, 2, 3])
+    assert score(tmp_path, "--table", "--json") == 0
+    captured = capsys.readouterr()
+    lines = captured.out.splitlines()
+    assert any("PSNR ↑" in line for line in lines)
+    summary = json.loads(lines[-1])
+    assert summary["evaluations"][0]["protocol"].startswith("folders-v1+metrics=psnr-ssim")
+    assert {Path(path).name for path in summary["files"]} == {
+        "metrics.json", "per_frame.csv", "table.md", "table.tex", "table.csv", "table.json", "table.html",
+    }  # fmt: skip
+    assert all(Path(path).is_file() for path in summary["files"])
+    shown = f"{summary['evaluations'][0]['metrics']['psnr']:.2f}"
+    assert any(shown in line for line in lines)
+
+
+def test_the_paths_written_are_the_last_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_folders(tmp_path, [1])
+    folders = ["--pred", str(tmp_path / "pred"), "--gt", str(tmp_path / "gt")]
+    assert main([*folders, "--no-report", "--metrics", "psnr", "--table"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"wrote {tmp_path / 'pred-evaluation' / 'table.json'}"
+
+
+def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    predictions, _ = write_folders(tmp_path, [1, 2])
+    (predictions / "frame_0002.png").unlink()
+    assert score(tmp_path) == 2
+    assert "no render for 1 frames: 2" in capsys.readouterr().err
+    write(predictions / "frame_0002.png", pair(40, 64)[1])
+    assert score(tmp_path) == 2
+    error = capsys.readouterr().err
+    assert "frame 2" in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "ours").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "expected a run folder"),
+        (["--pred", "a"], "no --gt"),
+        (["run", "--pred", "a", "--gt", "b"], "found both"),
+        (["absent"], "absent"),
+        (["--pred", "a", "--gt", "b", "--protocol", "papr"], "paper"),
+        (["--pred", "a", "--gt", "b", "--fail-below", "pnsr=3"], "perhaps 'psnr'"),
+        (["--pred", "a", "--gt", "b", "--tolerance", "psnr=3"], "--compare FILE"),
+        (["--pred", "a", "--gt", "b", "--github"], "to report, found none"),
+        (["--pred", "a", "--gt", "b", "--compare", "gone.json"], "gone.json: no such file"),
+        (["--pred", "a", "--gt", "b", "--metrics", "psnrr"], "perhaps 'psnr'"),
+        (["--pred", "absent", "--gt", "absent"], "expected a folder"),
+    ],
+)
+def test_bad_input_ends_with_code_2(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_an_unknown_flag_ends_with_code_2_and_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--protocl", "paper"])
+    assert caught.value.code == 2
+    assert "--protocol" in capsys.readouterr().err
+
+
+def test_gates_end_with_code_3_and_say_what_fell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    predictions, _ = write_folders(tmp_path, [1, 2])
+    assert score(tmp_path, "--fail-below", "psnr=5", "ssim=0.1") == 0
+    junit = tmp_path / "checks" / "junit.xml"
+    assert score(tmp_path, "--fail-below", "psnr=90", "--junit", str(junit), "--github") == 3
+    captured = capsys.readouterr()
+    assert "the floor 90 is missed by" in captured.err
+    assert "::error title=Anna/ours/psnr::" in captured.out
+    assert 'failures="1"' in junit.read_text()
+    baseline = (tmp_path / "ours" / "metrics.json").rename(tmp_path / "baseline.json")
+    assert score(tmp_path, "--compare", str(baseline)) == 0
+    write(predictions / "frame_0002.png", pair(shift=9)[0])
+    assert score(tmp_path, "--compare", str(baseline), "--tolerance", "psnr=0.1") == 3
+    assert "worse by" in capsys.readouterr().err
+    assert score(tmp_path, "--compare", str(baseline), "--tolerance", "psnr=90", "psnr_pooled=90", "ssim=2") == 0
+
+
+def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    predictions, _ = write_folders(tmp_path, [1, 2])
+    assert score(tmp_path, method="one") == 0
+    write(predictions / "frame_0002.png", pair(shift=2)[0])
+    write(predictions / "frame_0001.png", pair(shift=2)[0])
+    assert score(tmp_path, method="two") == 0
+    results = [str(tmp_path / "one"), str(tmp_path / "two" / "metrics.json")]
+    assert main([*results, "-o", str(tmp_path / "all"), "--table", "--no-report", "--with-paper"]) == 0
+    text = capsys.readouterr().out
+    assert "paper (protocol not stated)" in text
+    assert "33.61" in text
+    assert "one − two" in text
+    assert len((tmp_path / "all" / "table.csv").read_text().splitlines()) > 100
+    copies = json.loads((tmp_path / "all" / "table.json").read_text())["results"]
+    assert copies == ["results/00-Anna-one.json", "results/01-Anna-two.json"]
+    assert main([*results, "-o", str(tmp_path / "again"), "--no-report", "--quiet", "--labels", "x", "y"]) == 0
+    assert "x − y" in (tmp_path / "again" / "table.md").read_text()
+    assert json.loads((tmp_path / "again" / "results" / "01-Anna-y.json").read_text())["method"] == "y"
+    assert main([*results, "--labels", "x"]) == 2
+
+
+def test_without_runs_the_papers_tables_stand_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--with-paper", "--table", "-o", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    for number in ("33.61*", "24.99*", "24.76'", "33.41'"):
+        assert number in text
+    cells = (tmp_path / "out" / "table.csv").read_text().splitlines()[1:]
+    assert [sum(line.startswith(name) for line in cells) for name in ("paper-1,", "paper-2,")] == [60, 15]
+    assert main(["--with-paper", "--fail-below", "psnr=3"]) == 2
+
+
+def test_masks_and_region_masks_become_columns(tmp_path: Path) -> None:
+    import numpy as np
+
+    write_folders(tmp_path, [1])
+    write(tmp_path / "masks" / "1.png", np.pad(np.full((20, 20), 255, np.uint8), ((10, 18), (10, 34))))
+    write(tmp_path / "parts" / "face" / "1.png", np.full((48, 64), 255, np.uint8))
+    assert score(tmp_path, "--masks", str(tmp_path / "masks"), "--region-masks", str(tmp_path / "parts")) == 0
+    summary = json.loads((tmp_path / "ours" / "metrics.json").read_text())["summary"]
+    for region in ("foreground", "boundary", "face"):
+        assert summary[f"psnr@{region}"]["count"] == 1
+    assert summary["psnr@face"]["mean"] == pytest.approx(summary["psnr"]["mean"], rel=1e-6)
+
+
+def test_strange_paths_work(tmp_path: Path) -> None:
+    folder = tmp_path / "mit Leerzeichen ☃"
+    write_folders(folder, [1])
+    assert score(folder) == 0
+    assert (folder / "ours" / "table.html").is_file()
+
+
+def test_a_path_with_a_leading_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_folders(tmp_path / "-dash", [1])
+    monkeypatch.chdir(tmp_path)
+    assert main(["--pred=-dash/pred", "--gt=-dash/gt", "--output=-dash/out", *PLAIN]) == 0
+    assert (tmp_path / "-dash" / "out" / "metrics.json").is_file()
+
+
+SCRIPT = """
+import sys
+from evaluate.cli.evaluate import main
+try:
+    code = main(sys.argv[1:])
+except SystemExit as caught:
+    code = caught.code
+sys.stderr.write(repr(sorted({"torch", "numba", "matplotlib", "pandas", "scipy"} & set(sys.modules))))
+sys.exit(code)
+"""
+
+
+def imported(arguments: list[str]) -> tuple[int, str]:
+    """Exit code and the heavy modules that a fresh interpreter imported."""
+    done = subprocess.run([sys.executable, "-c", SCRIPT, *arguments], capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr.splitlines()[-1]
+
+
+def test_help_and_scoring_without_learned_metrics_import_no_torch(tmp_path: Path) -> None:
+    assert imported(["--help"]) == (0, "[]")
+    write_folders(tmp_path, [1, 2])
+    folders = ["--pred", str(tmp_path / "pred"), "--gt", str(tmp_path / "gt"), "-o", str(tmp_path / "out")]
+    assert imported([*folders, *PLAIN, "--table", "--with-paper"]) == (0, "[]")
+    nothing = ["--models", str(tmp_path), "--no-report", "--quiet"]
+    code, modules = imported([*folders, *nothing, "--no-lpips"])
+    assert (code, modules) == (0, "[]")

@@ -1,0 +1,84 @@
+"""What is not 8-bit RGB is turned into it in the open, or refused."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from evaluate.scoring.image_decoding import read_scored, read_weights
+from ggavatar.errors import InputError
+from tests.support.image_pairs import pair, write
+
+
+def test_8_bit_rgb_is_read_as_it_is(tmp_path: Path) -> None:
+    truth, _ = pair()
+    write(tmp_path / "a.png", truth)
+    found = read_scored(tmp_path / "a.png", None)
+    np.testing.assert_array_equal(found.pixels, truth)
+    assert found.notes == ()
+    assert found.sha256 == hashlib.sha256((tmp_path / "a.png").read_bytes()).hexdigest()
+
+
+def test_16_bits_are_rounded_to_the_nearest_of_256_levels(tmp_path: Path) -> None:
+    truth, _ = pair()
+    deep = truth.astype(np.uint16) * 257
+    deep[0, 0] = (128, 129, 65535 - 100)
+    write(tmp_path / "a.png", deep)
+    found = read_scored(tmp_path / "a.png", None)
+    assert found.pixels[0, 0].tolist() == [0, 1, 255]
+    np.testing.assert_array_equal(found.pixels[1:], truth[1:])
+    assert found.notes == ("16-bit pictures rounded to 8 bits",)
+
+
+def test_grey_is_repeated(tmp_path: Path) -> None:
+    write(tmp_path / "a.png", pair()[0][..., 0])
+    found = read_scored(tmp_path / "a.png", None)
+    np.testing.assert_array_equal(found.pixels, np.repeat(pair()[0][..., :1], 3, axis=2))
+    assert found.notes == ("grey pictures repeated to RGB",)
+
+
+@pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_straight_alpha_is_composited_on_the_protocols_background(tmp_path: Path, dtype: type, top: int) -> None:
+    image = np.zeros((4, 4, 4), dtype)
+    image[..., 0] = top
+    image[..., 3] = [0, top // 5, top, top]
+    write(tmp_path / "a.png", image)
+    found = read_scored(tmp_path / "a.png", (0.0, 1.0, 1.0)).pixels
+    assert found[0].tolist() == [[0, 255, 255], [51, 204, 204], [255, 0, 0], [255, 0, 0]]
+    with pytest.raises(InputError, match="--background"):
+        read_scored(tmp_path / "a.png", None)
+
+
+def test_an_opaque_alpha_channel_is_dropped_silently(tmp_path: Path) -> None:
+    truth, _ = pair()
+    write(tmp_path / "a.png", np.dstack((truth, np.full(truth.shape[:2], 255, np.uint8))))
+    found = read_scored(tmp_path / "a.png", None)
+    np.testing.assert_array_equal(found.pixels, truth)
+    assert found.notes == ()
+
+
+def test_damaged_empty_and_absent_files_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "a.png", pair()[0])
+    content = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "text.png").write_text("hello")
+    (tmp_path / "headless.png").write_bytes(content[:20])
+    for name in ("empty", "text", "headless", "absent"):
+        with pytest.raises(InputError, match=f"{name}.png"):
+            read_scored(tmp_path / f"{name}.png", None)
+
+
+def test_weights_are_the_alpha_channel_or_the_grey_value(tmp_path: Path) -> None:
+    grey = np.array([[0, 51], [255, 102]], np.uint8)
+    write(tmp_path / "grey.png", grey)
+    write(tmp_path / "alpha.png", np.dstack((np.zeros((2, 2, 3), np.uint8), grey)))
+    write(tmp_path / "rgb.png", cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB))
+    write(tmp_path / "deep.png", grey.astype(np.uint16) * 257)
+    for name in ("grey", "alpha", "rgb", "deep"):
+        weights, sha256 = read_weights(tmp_path / f"{name}.png")
+        np.testing.assert_allclose(weights, [[0, 0.2], [1, 0.4]], atol=1e-6)
+        assert len(sha256) == 64

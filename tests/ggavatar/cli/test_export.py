@@ -1,0 +1,203 @@
+"""ggavatar-export as a user meets it: what it writes, what it says, what it refuses, nothing left behind."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ggavatar.cli.export import main
+from ggavatar.data.capture import Capture
+from ggavatar.errors import InputError
+from ggavatar.formats import export as exporting
+from ggavatar.formats.gaussian_ply import read_gaussian_ply
+from ggavatar.formats.imported_run import open_imported_run
+from ggavatar.formats.output_folder import appearing_folder
+from ggavatar.formats.poses import neutral_pose
+from ggavatar.formats.source_options import Source
+from ggavatar.formats.stored_gaussians import activated
+from ggavatar.head.files import load_head
+from ggavatar.training.run_folder import open_run
+from ggavatar.training.session import train_run
+from tests.support.gaussian_cloud import psnr
+
+
+@pytest.fixture(scope="module")
+def run_folder(toy_capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a few steps: what is exported need not be a good likeness."""
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    train_run(toy_capture.folder, folder, {"steps": 4, "device": "cpu", "set": ["perceptual_weight=0"]}, quiet=True)
+    return folder
+
+
+def export(*arguments: object) -> int:
+    try:
+        return main([*map(str, arguments), "--device", "cpu"])
+    except SystemExit as leaving:
+        return int(leaving.code or 0)
+
+
+def drawn(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
+    """A frame by the run and by a file of it."""
+    run = open_run(run_folder)
+    file = open_imported_run(path, Source(capture=run.capture.folder))
+    drive, camera = run.reader.drive(number), run.reader.camera(number)
+    with torch.no_grad():
+        pictures = [one.rasterize(one.avatar.gaussians(drive), camera, run.background).image for one in (run, file)]
+    return pictures[0], pictures[1]
+
+
+def test_a_frame_is_baked_and_drawn_again(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    number = open_run(run_folder).split.test[1]
+    assert export(run_folder, "--frame", number) == 0
+    path = run_folder / "exports" / f"frame-{number:06d}.ply"
+    shown = capsys.readouterr().out
+    assert f"wrote {path}" in shown and f"next: ggavatar-render {path}" in shown
+    ours, theirs = drawn(run_folder, number, path)
+    assert float(ours.std()) > 0.02 and psnr(ours, theirs) > 70
+
+
+def test_bound_layout_moves_like_the_run(
+    run_folder: Path, toy_capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    number = toy_capture.frames[0]
+    out = tmp_path / "bound"
+    assert export(run_folder, "--format", "gaussian-avatars", "--frame", number, "-o", out) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["flame_param.npz", "point_cloud.ply"]
+    shown = capsys.readouterr().out
+    assert "not FLAME" in shown and "--capture" in shown
+    ours, theirs = drawn(run_folder, number, out / "point_cloud.ply")
+    assert psnr(ours, theirs) > 70
+    run = open_run(run_folder)
+    rows = read_gaussian_ply(out / "point_cloud.ply")
+    assert rows.faces is not None and np.array_equal(rows.faces, run.avatar.rows["face"].numpy())
+    assert rows.degree == 3, "GaussianAvatars expects all harmonics"
+
+
+@pytest.mark.parametrize("kind", ["ply", "splat", "spz"])
+def test_neutral_is_the_default(run_folder: Path, kind: str, tmp_path: Path) -> None:
+    assert export(run_folder, "--format", kind) == 0
+    assert export(run_folder, "--format", kind, "--neutral", "-o", tmp_path / f"b.{kind}") == 0
+    assert (run_folder / "exports" / f"neutral.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+
+
+def test_rows_of_parameters_are_baked(run_folder: Path, toy_capture: Capture, tmp_path: Path) -> None:
+    run = open_run(run_folder)
+    head = load_head(toy_capture.head_path)
+    tracking = toy_capture.tracking
+    names = np.array(head.joint_names)
+    np.savez(
+        tmp_path / "talk.npz",
+        expression=tracking.expression[:3],
+        joint_rotations=tracking.joint_rotations[:3],
+        joint_names=names,
+        version=head.version,
+    )
+    assert export(run_folder, "--drive", tmp_path / "talk.npz") == 0
+    folder = run_folder / "exports" / "talk-ply"
+    assert sorted(path.name for path in folder.iterdir()) == ["000000.ply", "000001.ply", "000002.ply"]
+    first, third = (activated(read_gaussian_ply(folder / f"00000{row}.ply")) for row in (0, 2))
+    assert float((first.means - third.means).abs().max()) > 1e-4, "it moves"
+    np.savez(tmp_path / "other.npz", expression=tracking.expression[:3], version="flame2020")
+    assert export(run_folder, "--drive", tmp_path / "other.npz") == 2
+    assert run.step == 4
+
+
+def test_what_exists_stays_unless_said(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text("mine")
+    assert export(run_folder, "-o", path) == 2 and "--overwrite" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+    assert export(run_folder, "-o", path, "--overwrite") == 0 and len(read_gaussian_ply(path)) > 10
+    folder = tmp_path / "bound"
+    arguments = (run_folder, "--format", "gaussian-avatars", "-o", folder)
+    assert export(*arguments) == 0 and export(*arguments) == 2 and export(*arguments, "--overwrite") == 0
+    (folder / "mine.txt").write_text("kept")
+    assert export(*arguments, "--overwrite") == 2 and "mine.txt" in capsys.readouterr().err
+    assert (folder / "mine.txt").read_text() == "kept" and (folder / "point_cloud.ply").is_file()
+    assert not list(tmp_path.glob(".*")), "nothing half-written is left"
+
+
+def test_a_failure_leaves_nothing(run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(exporting, "write_flame_parameters", full)
+    assert export(run_folder, "--format", "gaussian-avatars", "-o", tmp_path / "bound") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "a").write_text("old")
+    rename = Path.rename
+
+    def fail_for_new(self: Path, target: Path) -> Path:
+        if self.name == "new":
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", fail_for_new)
+    with pytest.raises(OSError, match="Input/output"), appearing_folder(folder, overwrite=True) as unfinished:
+        (unfinished / "a").write_text("new")
+    assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--format", "plx"), "did you mean ply"),
+        (("--neutral", "--frame", "3"), "found several"),
+        (("--frame", "999"), "no frame 999"),
+        (("--drive", "none.npz"), "none.npz"),
+        (("--format", "gaussian-avatars", "--frame", "3", "4"), "one --frame"),
+        (("--format", "vhap"), "capture folder"),
+        (("--format", "vhap", "--neutral"), "whole capture"),
+        (("--step", "3"), "complete checkpoints"),
+    ],
+)
+def test_wrong_wishes(
+    run_folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    assert export(run_folder, *arguments) == 2
+    shown = capsys.readouterr().err
+    assert words in shown and "Traceback" not in shown
+
+
+def test_no_run_and_unknown_flags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert export(tmp_path) == 2 and "expected a run folder" in capsys.readouterr().err
+    assert export(tmp_path, "--no-such-flag") == 2
+    assert export("--help") == 0 and "vhap" in capsys.readouterr().out
+
+
+def test_methods_without_a_binding_are_bound_to_the_nearest(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(exporting, "binding_of", lambda *_: None)
+    number = open_run(run_folder).capture.frames[0]
+    out = tmp_path / "bound"
+    assert export(run_folder, "--format", "gaussian-avatars", "--frame", number, "-o", out) == 0
+    assert "bound to the nearest" in capsys.readouterr().out
+    ours, theirs = drawn(run_folder, number, out / "point_cloud.ply")
+    assert psnr(ours, theirs) > 70
+
+
+def test_methods_with_a_renderer_of_their_own_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from ggavatar.cli.export import _drawn_otherwise
+    from ggavatar.training import registry
+
+    assert _drawn_otherwise("ggavatar") == []
+    monkeypatch.setattr(registry.load("ggavatar").module, "rasterizer", object(), raising=False)
+    assert "renderer of its own" in _drawn_otherwise("ggavatar")[0]
+
+
+def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path) -> None:
+    run = open_run(run_folder)
+    head = load_head(run.capture.head_path)
+    other = dataclasses.replace(head, joint_names=("root", "chin", "neck", "left_eye", "right_eye"))
+    with pytest.raises(InputError, match="FLAME's joints"):
+        exporting.export_bound(run, other, neutral_pose(run, head), tmp_path / "x", False)

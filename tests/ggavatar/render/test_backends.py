@@ -1,0 +1,138 @@
+"""The choice of a backend, and the gsplat adapter with a stand-in for the library."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import types
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from ggavatar.core import Camera, Gaussians
+from ggavatar.errors import InputError
+from ggavatar.render import backends as picking
+from ggavatar.render import reference
+from ggavatar.render.backends import pick
+from ggavatar.render.cpu import rasterizer
+from tests.support.render_scenes import gradients, random_camera, random_gaussians
+
+
+def test_the_cpu_gets_the_compiled_rasteriser() -> None:
+    assert pick("cpu") is rasterizer.rasterize
+    assert pick(torch.device("cpu"), "cpu") is rasterizer.rasterize
+    assert pick("cpu", "reference") is reference.rasterize
+
+
+@pytest.mark.parametrize(
+    ("device", "remedy"), [("cpu", "pip install numba"), ("cuda", r"pip install ggavatar\[cuda\]")]
+)
+def test_without_its_library_the_reference_runs_and_says_so(
+    device: str, remedy: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(picking, "importable", lambda module: False)
+    assert pick(device) is reference.rasterize
+    assert remedy.replace("\\", "") in capsys.readouterr().err
+    with pytest.raises(InputError, match=remedy):
+        pick(device, "gsplat" if device == "cuda" else "cpu")
+
+
+@pytest.mark.parametrize(("device", "backend"), [("cpu", "gsplat"), ("cuda", "cpu"), ("cpu", "opengl")])
+def test_impossible_choices_are_refused(device: str, backend: str) -> None:
+    with pytest.raises(InputError):
+        pick(device, backend)
+
+
+def test_importable_says_no_to_missing_and_broken_modules(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "broken_for_pick.py").write_text("raise ImportError('no')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert not picking.importable("broken_for_pick")
+    assert not picking.importable("absent_for_pick")
+    assert picking.importable("json")
+
+
+def stand_in(**arguments: Any) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+    """gsplat.rasterization in the shapes of gsplat 1.5, drawn by the reference."""
+    assert (
+        arguments["render_mode"] == "RGB+D"
+        and arguments["rasterize_mode"] == "classic"
+        and arguments["packed"] is False
+    )
+    assert arguments["eps2d"] == 0.3 and arguments["near_plane"] == 0.01
+    assert (
+        arguments["viewmats"].shape == (1, 4, 4)
+        and arguments["Ks"].shape == (1, 3, 3)
+        and arguments["backgrounds"].shape == (1, 3)
+    )
+    cloud = Gaussians(
+        *(arguments[name] for name in ("means", "quats", "scales", "opacities", "colors")), arguments["sh_degree"]
+    )
+    camera = Camera(arguments["Ks"][0], arguments["viewmats"][0], arguments["width"], arguments["height"])
+    drawn = reference.rasterize(cloud, camera, arguments["backgrounds"][0])
+    radii = drawn.radii.ceil().int()[:, None].repeat(1, 2)[None]
+    meta = {"means2d": drawn.means2d[None], "radii": radii}
+    # Gradients reach the batched tensor only if drawing depends on it, as it does in gsplat.
+    image = drawn.image + 0 * meta["means2d"].sum() + (meta["means2d"] - meta["means2d"].detach()).sum() * 3
+    return torch.cat((image, drawn.depth), -1)[None], drawn.alpha[None], meta
+
+
+@pytest.fixture
+def adapter() -> Iterator[Any]:
+    """The adapter, loaded over the stand-in."""
+    library = types.ModuleType("gsplat")
+    library.rasterization = stand_in  # type: ignore[attr-defined]
+    kept = {name: sys.modules.get(name) for name in ("gsplat", "ggavatar.render.gsplat")}
+    sys.modules["gsplat"] = library
+    sys.modules.pop("ggavatar.render.gsplat", None)
+    yield importlib.import_module("ggavatar.render.gsplat")
+    for name, module in kept.items():
+        sys.modules.pop(name, None)
+        if module is not None:
+            sys.modules[name] = module
+
+
+@pytest.mark.parametrize(("coefficients", "degree"), [(0, None), (16, None), (16, 1)])
+def test_the_adapter_fits_the_contract(adapter: Any, coefficients: int, degree: int | None) -> None:
+    camera, cloud = (
+        random_camera(30, 20, torch.float32),
+        random_gaussians(40, coefficients, torch.float32, degree=degree),
+    )
+    expected, _ = gradients(reference.rasterize, cloud, camera)
+    found, leaves = gradients(adapter.rasterize, cloud, camera)
+    for name in ("alpha", "depth", "means2d"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name))
+    torch.testing.assert_close(found.image, expected.image)
+    assert found.radii.shape == (40,) and ((found.radii > 0) == (expected.radii > 0)).all()
+    # The stand-in adds 3 to the gradient of every position, for every channel and pixel, times the incoming gradient.
+    generator = torch.Generator().manual_seed(7)
+    incoming = torch.randn(20, 30, 3, generator=generator, dtype=torch.float64).sum() * 3
+    assert leaves["means2d"].shape == (40, 2)
+    torch.testing.assert_close(leaves["means2d"], incoming.expand(40, 2).double(), rtol=1e-3, atol=1e-3)
+
+
+def test_the_adapter_refuses_nan(adapter: Any) -> None:
+    cloud = random_gaussians(4, 0, torch.float32)
+    cloud.scales[2, 1] = float("nan")
+    with pytest.raises(InputError, match=r"gaussians\.scales"):
+        adapter.rasterize(cloud, random_camera(10, 10, torch.float32), torch.ones(3))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_gsplat_on_cuda_agrees_with_the_reference() -> None:
+    pytest.importorskip("gsplat", reason="gsplat is an optional extra")
+    camera, cloud = random_camera(67, 53, torch.float32), random_gaussians(200, 16, torch.float32, size=0.05)
+    expected, slow = gradients(reference.rasterize, cloud, camera, torch.float64)
+    draw = pick("cuda")
+
+    def on_device(gaussians: Gaussians, view: Camera, background: Tensor) -> Any:
+        moved = Gaussians(*(getattr(gaussians, n).cuda() for n in ("means", "quats", "scales", "opacities", "colors")))
+        return draw(moved, view, background)
+
+    found, fast = gradients(on_device, cloud, camera)
+    assert (found.image.cpu() - expected.image).abs().max() < 1 / 255
+    for name in ("means", "quats", "scales", "opacities", "colors"):
+        assert (fast[name].cpu() - slow[name]).norm() < 0.01 * slow[name].norm(), name

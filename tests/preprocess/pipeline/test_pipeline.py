@@ -1,0 +1,316 @@
+"""The whole road from a video with another tracker's output to a capture, on a made-up subject whose truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggavatar.data.capture import Capture
+from ggavatar.errors import InputError
+from ggavatar.io.images import write_png
+from preprocess.cli.prep import main
+from preprocess.formats.importers import metrical_tracker
+from tests.support.synthetic_clip import draw, make_clip, write_video
+
+
+@pytest.fixture(scope="module")
+def capture(clip, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("road") / "capture"
+    assert main([*clip.arguments, "-o", str(folder)]) == 0
+    return Capture.open(folder)
+
+
+def test_capture_has_the_known_tracking(capture, clip):
+    assert capture.frames == tuple(range(24))
+    assert (capture.width, capture.height, capture.fps) == (96, 96, 25.0)
+    np.testing.assert_allclose(capture.tracking.intrinsics, clip.record.intrinsics, rtol=1e-6)
+    np.testing.assert_allclose(capture.tracking.world_to_camera, clip.record.world_to_camera, atol=1e-6)
+    np.testing.assert_allclose(capture.tracking.expression, clip.record.expression, atol=1e-6)
+    np.testing.assert_allclose(capture.tracking.joint_rotations, clip.record.joint_rotations, atol=1e-6)
+
+
+def test_capture_has_the_known_pixels(capture, clip):
+    for number in (0, 11, 23):
+        image, mask = draw(clip.head, clip.record, number)
+        np.testing.assert_array_equal(capture.mask(number), mask)
+        assert np.abs(capture.image(number).astype(int) - image).mean() < 6
+
+
+def run(clip, folder, *more, **replaced):
+    """Exit code of ggavatar-prep on the clip, with some arguments replaced (None leaves one out)."""
+    more = more if replaced.pop("loud", False) else (*more, "--quiet")
+    arguments = dict(zip(clip.arguments[1::2], clip.arguments[2::2], strict=True))
+    arguments |= {"--" + name.replace("_", "-"): value for name, value in replaced.items() if name != "video"}
+    flags = [part for name, value in arguments.items() if value is not None for part in (name, str(value))]
+    return main([str(replaced.get("video", clip.arguments[0])), *flags, "-o", str(folder), *more])
+
+
+def said(capsys):
+    """What was said, checked to be no traceback."""
+    output = capsys.readouterr()
+    assert "Traceback" not in output.err
+    return " ".join((output.out + output.err).split())
+
+
+def test_unchanged_stages_are_skipped_and_changed_ones_run(clip, tmp_path, capsys):
+    folder = tmp_path / "c"
+    assert run(clip, folder, loud=True) == 0
+    assert ": unchanged" not in said(capsys)
+    before = (folder / "images" / "000005.png").stat().st_mtime_ns
+    assert run(clip, folder, "--resume", loud=True) == 0
+    assert said(capsys).count(": unchanged") == 6
+    assert run(clip, folder, "--resume", "--split", "last-5", loud=True) == 0
+    assert said(capsys).count(": unchanged") == 4
+    assert (folder / "images" / "000005.png").stat().st_mtime_ns == before
+    assert len(Capture.open(folder).splits["last-5"].test) == 5
+    assert run(clip, folder, "--resume", "--split", "last-5", size=64, loud=True) == 0
+    assert said(capsys).count(": unchanged") == 1
+    assert Capture.open(folder).width == 64
+
+
+def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
+    """Killed in the middle of each stage: no capture is left that opens, and --resume finishes it."""
+    from preprocess.pipeline import crop_stage, mask_stage, pipeline
+
+    whole = tmp_path / "whole"
+    assert run(clip, whole) == 0
+    for module in (crop_stage, mask_stage):
+        folder = tmp_path / module.__name__
+        calls = 0
+        write = module.write_png
+
+        def stopping(path, picture, write=write):
+            nonlocal calls
+            calls += 1
+            if calls == 7:
+                raise KeyboardInterrupt
+            write(path, picture)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "write_png", stopping)
+            assert run(clip, folder) == 130
+        with pytest.raises(InputError, match="--resume"):
+            Capture.open(folder)
+        assert run(clip, folder) == 2
+        assert "--resume to continue" in said(capsys)
+        assert run(clip, folder, "--resume") == 0
+        assert Capture.open(folder).digest() == Capture.open(whole).digest()
+    assert pipeline.STAGES[0].name == "frames"
+
+
+def test_a_finished_capture_that_lost_a_picture_is_not_called_finished(clip, tmp_path, capsys):
+    folder = tmp_path / "c"
+    assert run(clip, folder) == 0
+    (folder / "masks" / "000007.png").unlink()
+    assert run(clip, folder, "--resume") == 2
+    message = said(capsys)
+    assert "000007.png" in message and "--overwrite" in message
+    assert run(clip, folder, "--overwrite") == 0
+
+
+def test_existing_folders_are_safe(clip, tmp_path, capsys):
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("years of work")
+    for flags in ((), ("--overwrite",), ("--resume",)):
+        assert run(clip, mine, *flags) == 2
+        assert "was not made by ggavatar-prep" in said(capsys)
+    assert (mine / "thesis.txt").read_text() == "years of work" and len(list(mine.iterdir())) == 1
+    folder = tmp_path / "c"
+    assert run(clip, folder) == 0 and run(clip, folder) == 2 and run(clip, folder, "--overwrite", size=64) == 0
+    assert Capture.open(folder).width == 64
+    assert run(clip, folder, "--overwrite", "--resume") == 2
+    assert run(clip, clip.folder) == 2
+    assert "choose another folder" in said(capsys)
+
+
+def test_nothing_is_written_for_bad_input(clip, tmp_path, capsys):
+    for message, replaced in (
+        ("no such file", {"video": tmp_path / "absent.mp4"}),
+        ("no such file", {"masks": tmp_path / "absent"}),
+        ("no such file", {"tracking": tmp_path / "absent"}),
+        ("no such head model file", {"head_model": tmp_path / "absent.npz"}),
+        ("--size", {"size": 7}),
+        ("--crop", {"crop": "1,2,3"}),
+        ("needs --head-model", {"head_model": None}),
+    ):
+        assert run(clip, tmp_path / "out", **replaced) == 2
+        assert message in said(capsys)
+        assert not (tmp_path / "out").exists()
+
+
+def test_what_fails_at_the_video_leaves_room_for_another_try(clip, tmp_path, capsys):
+    """A folder that holds records and nothing else is as good as none."""
+    folder = tmp_path / "out"
+    assert run(clip, folder, frames="a:b") == 2 and "--frames" in said(capsys)
+    assert [entry.name for entry in folder.iterdir()] == [".prep"]
+    assert run(clip, folder) == 0 and Capture.open(folder).frames == tuple(range(24))
+
+
+def test_bad_videos(clip, tmp_path, capsys):
+    images = [np.full((96, 96, 3), 90, np.uint8)]
+    write_video(tmp_path / "one.mp4", images)
+    (tmp_path / "text.mp4").write_text("no video")
+    assert run(clip, tmp_path / "a", video=tmp_path / "one.mp4") == 2
+    assert "only one frame" in said(capsys)
+    assert run(clip, tmp_path / "b", video=tmp_path / "text.mp4") == 2
+    assert "not a video" in said(capsys)
+    assert run(clip, tmp_path / "c", "--start", "99") == 2
+    assert "no frame" in said(capsys)
+
+
+@pytest.mark.parametrize("name", ["with space", "ünïcödé 頭", "-dash"])
+def test_odd_paths(clip, tmp_path, name, monkeypatch):
+    place = tmp_path / name
+    shutil.copytree(clip.folder, place)
+    monkeypatch.chdir(tmp_path)
+    moved = dataclasses.replace(clip, folder=Path(f"./{name}"))
+    assert run(moved, f"{name} out") == 0
+    assert len(Capture.open(tmp_path / f"{name} out").frames) == 24
+
+
+def test_read_only_input(clip, tmp_path):
+    place = tmp_path / "locked"
+    shutil.copytree(clip.folder, place)
+    files = [*place.rglob("*"), place]
+    try:
+        for path in files:
+            path.chmod(0o555 if path.is_dir() else 0o444)
+        assert run(dataclasses.replace(clip, folder=place), tmp_path / "out") == 0
+    finally:
+        for path in files:
+            path.chmod(0o755)
+
+
+def test_selection_keeps_source_numbers(clip, tmp_path):
+    assert run(clip, tmp_path / "c", "--frames", "4:20:2") == 0
+    capture = Capture.open(tmp_path / "c")
+    assert capture.frames == tuple(range(4, 20, 2))
+    np.testing.assert_allclose(capture.tracking.expression, clip.record.expression[4:20:2], atol=1e-6)
+
+
+def test_numbers_from_one(clip, tmp_path, capsys):
+    """FlashAvatar's pairing: pictures and masks counted from 1, `.frame` files from 0."""
+    pictures, masks = tmp_path / "pictures", tmp_path / "masks"
+    for row in range(24):
+        image, mask = draw(clip.head, clip.record, row)
+        write_png(pictures / f"{row + 1:05d}.png", image)
+        write_png(masks / f"{row + 1:05d}.png", mask)
+    assert run(clip, tmp_path / "c", video=pictures, masks=masks) == 0
+    capture = Capture.open(tmp_path / "c")
+    assert capture.frames == tuple(range(1, 25)) and capture.source["tracking"]["offset"] == 1
+    np.testing.assert_allclose(capture.tracking.expression, clip.record.expression, atol=1e-6)
+
+
+def test_masks_counted_from_one(clip, tmp_path):
+    masks = tmp_path / "masks"
+    for row in range(24):
+        write_png(masks / f"mask_{row + 1:05d}.png", draw(clip.head, clip.record, row)[1])
+    assert run(clip, tmp_path / "c", masks=masks) == 0
+    np.testing.assert_array_equal(Capture.open(tmp_path / "c").mask(9), draw(clip.head, clip.record, 9)[1])
+
+
+def test_lost_frames_are_dropped_with_a_reason(clip, tmp_path, capsys):
+    place = tmp_path / "clip"
+    shutil.copytree(clip.folder, place)
+    (place / "masks" / "00007.png").unlink()
+    (place / "tracking" / "00011.frame").unlink()
+    holed = dataclasses.replace(clip, folder=place)
+    assert run(holed, tmp_path / "c") == 0
+    capture = Capture.open(tmp_path / "c")
+    assert [dict(item) for item in capture.dropped] == [
+        {"frame": 7, "reason": "no mask"},
+        {"frame": 11, "reason": "no tracking"},
+    ]
+    assert not capture.picture_path("images", 7).exists() and len(capture.frames) == 22
+    assert "left out" in said(capsys)
+    assert run(holed, tmp_path / "strict", "--strict") == 3
+
+
+def test_mask_of_wrong_size_is_named(clip, tmp_path, capsys):
+    place = tmp_path / "clip"
+    shutil.copytree(clip.folder, place)
+    write_png(place / "masks" / "00007.png", np.zeros((50, 40), np.uint8))
+    assert run(dataclasses.replace(clip, folder=place), tmp_path / "c") == 2
+    assert "00007.png: expected 96×96 px" in said(capsys)
+
+
+def test_other_size_scales_the_camera(clip, tmp_path):
+    assert run(clip, tmp_path / "c", size=64) == 0
+    capture = Capture.open(tmp_path / "c")
+    expected = clip.record.intrinsics * np.array([[64 / 96], [64 / 96], [1]])
+    np.testing.assert_allclose(capture.tracking.intrinsics, expected, rtol=1e-6)
+    assert capture.mask(0).shape == (64, 64)
+
+
+def test_swapped_size_of_an_oblong_video_is_named_and_mended(tmp_path, capsys):
+    clip = make_clip(tmp_path / "clip", size=(128, 96))
+    wrong = dataclasses.replace(clip.record, width=96, height=128)
+    shutil.rmtree(tmp_path / "clip" / "tracking")
+    metrical_tracker.write(tmp_path / "clip" / "tracking", wrong)
+    assert run(clip, tmp_path / "c") == 2
+    assert "width and height are swapped in the tracking; add --fix swapped-size" in said(capsys)
+    assert run(clip, tmp_path / "d", "--fix", "swapped-size", "--crop", "none") == 0
+    capture = Capture.open(tmp_path / "d")
+    assert (capture.width, capture.height) == (96, 72)
+    np.testing.assert_allclose(
+        capture.tracking.intrinsics[0], np.diag([0.75, 0.75, 1]) @ clip.record.intrinsics[0], rtol=1e-6
+    )
+
+
+def test_cropped_tracking_is_explained(clip, tmp_path, capsys):
+    place = make_clip(tmp_path / "clip", size=(128, 96))
+    assert run(place, tmp_path / "c", tracking=clip.folder / "tracking") == 2
+    assert "the tracker cropped it" in said(capsys)
+
+
+def test_flame_versions_never_mix(clip, tmp_path, capsys):
+    from tests.support.flame_files import flame_values, write_model
+
+    write_model(tmp_path / "flame2023.pkl", flame_values())
+    assert run(clip, tmp_path / "c", head_model=tmp_path / "flame2023.pkl") == 2
+    assert "not interchangeable" in said(capsys)
+    write_model(tmp_path / "generic_model.pkl", flame_values())
+    assert run(clip, tmp_path / "d", head_model=tmp_path / "generic_model.pkl") == 0
+    assert Capture.open(tmp_path / "d").head_version == "flame2020"
+
+
+def test_full_disk(clip, tmp_path, monkeypatch, capsys):
+    from ggavatar.io import atomic
+
+    original, left = atomic.os.replace, 30
+
+    def replace(source, target):
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise OSError(errno.ENOSPC, "No space left on device", str(target))
+        original(source, target)
+
+    monkeypatch.setattr(atomic.os, "replace", replace)
+    assert run(clip, tmp_path / "c") == 1
+    assert "free some space" in said(capsys)
+    assert not list((tmp_path / "c").rglob("*.part"))
+    monkeypatch.undo()
+    assert run(clip, tmp_path / "c", "--resume") == 0
+
+
+def test_offline_without_models_names_everything(clip, tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
+    assert run(clip, tmp_path / "c", "--offline", masks=None) == 2
+    message = said(capsys)
+    assert "selfie_segmentation.tflite" in message and "https://" in message and str(tmp_path / "cache") in message
+
+
+def test_summary_for_machines(clip, tmp_path, capsys):
+    import json
+
+    assert main([*clip.arguments, "-o", str(tmp_path / "c"), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert shown["frames"] == 24 and shown["dropped"] == 0 and shown["doctor"]["schema"] == "ggavatar-doctor"

@@ -1,0 +1,71 @@
+"""Seeded mutations of files: only an InputError that names the file may come out, and soon."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import time
+
+from ggavatar.errors import InputError
+
+COUNT = int(os.environ.get("GGAVATAR_MUTATIONS", "60"))
+
+
+HANG = 10.0
+"""Nothing may take longer, s: most take a millisecond."""
+
+
+def mutated(data: bytes, generator: random.Random) -> bytes:
+    """Bytes flipped, cut off, repeated, or runs of them overwritten."""
+    changed = bytearray(data)
+    for _ in range(generator.choice((1, 1, 2, 4, 16))):
+        changed[generator.randrange(len(changed))] = generator.choice((0, 1, 127, 128, 255, generator.randrange(256)))
+    kind = generator.random()
+    if kind < 0.15:
+        del changed[generator.randrange(len(changed)) :]
+    elif kind < 0.25:
+        start = generator.randrange(len(changed))
+        changed[start:start] = changed[start : start + 64]
+    elif kind < 0.3:
+        start = generator.randrange(len(changed))
+        changed[start : start + 8] = b"\xff" * len(changed[start : start + 8])
+    return bytes(changed)
+
+
+def survive(path, original, read, seed, count=COUNT):
+    """Read many mutants of a file; returns how many were refused. Only InputError may come out, and soon."""
+    generator, refused = random.Random(seed), 0
+    for _ in range(count):
+        path.write_bytes(mutated(original, generator))
+        began = time.monotonic()
+        try:
+            read()
+        except InputError as error:
+            refused += 1
+            assert path.name in str(error) or str(path.parent) in str(error)
+        assert time.monotonic() - began < HANG
+    return refused
+
+
+ODD_VALUES = (None, True, -1, 10**30, 1e300, "x", "../../etc/passwd", [], {}, [[]], [1, "2"], "\0", "9" * 30)
+
+
+def survive_values(path, original, read, seed):
+    """Replace values anywhere in a JSON file by others."""
+    generator = random.Random(seed)
+    for _ in range(COUNT):
+        data = json.loads(original)
+        spot, key = data, None
+        for _ in range(generator.randint(1, 5)):
+            inside = spot if key is None else spot[key]
+            if not isinstance(inside, dict | list) or not inside:
+                break
+            spot = inside
+            key = generator.choice(list(spot)) if isinstance(spot, dict) else generator.randrange(len(spot))
+        spot[key] = generator.choice(ODD_VALUES)
+        path.write_text(json.dumps(data))
+        try:
+            read()
+        except InputError as error:
+            assert path.name in str(error) or str(path.parent) in str(error)
