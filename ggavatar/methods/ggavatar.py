@@ -167,7 +167,10 @@ SHORT: dict[str, Any] = {
     "sh_iterations": 20_000,
     "alpha_weight": 0.1,
 }
-"""What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
+"""What a training of a few thousand steps on a CPU changes.
+
+Measured in docs/experiments/2026-11-22-learning-rates-for-short-trainings.md.
+"""
 
 PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
 

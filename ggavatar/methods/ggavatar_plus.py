@@ -1,6 +1,7 @@
 """GGAvatar plus: the paper's avatar with a still torso, a bounded head pose as condition, and colours that follow both.
 
-Ours. It holds a `ggavatar.GGAvatar` and states only what differs; docs/log.md has what each difference is worth.
+Ours. It holds a `ggavatar.GGAvatar` and states only what differs; what each difference is worth is measured in
+docs/experiments/2026-11-28-ggavatar-plus-ablation.md.
 
     1. The head pose acts on the neck too: what does not turn with the head need not be explained by offsets.
     2. The latent network sees the head pose, held within its training range.

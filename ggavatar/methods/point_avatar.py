@@ -133,7 +133,10 @@ SHORT: dict[str, Any] = {
     "perceptual_mode": "crops",
     "regularised": 256,
 }
-"""What a training of a few thousand steps on a CPU changes; docs/log.md has the measurements."""
+"""What a training of a few thousand steps on a CPU changes.
+
+Measured in docs/experiments/2026-11-28-point-avatar-fast-preset.md.
+"""
 
 FAST: dict[str, Any] = SHORT | {
     "points": 4_000,

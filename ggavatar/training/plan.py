@@ -44,7 +44,7 @@ class Training:
         """Factor on all rates in a step (from 1): 1, and half a cosine down to `coolest` while cooling.
 
         A rate that stays high leaves the networks, through which all Gaussians move together, swinging by half a pixel
-        until the last step (docs/log.md).
+        until the last step (docs/experiments/2026-11-22-learning-rate-decay.md).
         """
         begin = (1 - self.cooling) * self.steps
         share = (step - begin) / max(self.steps - begin, 1)

@@ -20,7 +20,10 @@ from preprocess.masks.cleanup import only_person, to_mask
 from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
-"""The network's coverage reaches a little too far; measured against a chroma key (docs/log.md)."""
+"""The network's coverage reaches a little too far.
+
+Measured against a chroma key in docs/experiments/2026-11-22-mask-quality-and-frame-offsets.md.
+"""
 
 STILL_DIFFERENCE = 0.03
 """Difference between neighbouring frames, in [0, 1].

@@ -40,7 +40,7 @@ def anchoring(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
     """Trust in each landmark to stay on its spot of the skin: 1 within 5 cm of the face's middle, 0.1 at its edge.
 
     The network puts landmarks of the edge where the cheek turns away from the camera: they slide when the head nods,
-    and hide a quarter of the nod (docs/log.md).
+    and hide a quarter of the nod (docs/experiments/2026-11-22-preparation-round-2.md).
     """
     return 1 - 0.9 * np.clip((np.abs(face.vertices[:, 0]) - 0.05) / 0.015, 0.0, 1.0)
 

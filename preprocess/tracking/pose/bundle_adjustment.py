@@ -34,8 +34,8 @@ DEFORMATION_REACH = 0.035
 DEPTH, DEPTH_SPREAD = 0.88, 0.05
 """Mean and standard deviation of the face's depth against the canonical one.
 
-The landmark network shows turned heads with about a tenth less parallax than they have (docs/log.md); a face as flat
-as its landmarks gives head turns their true size.
+The landmark network shows turned heads with about a tenth less parallax than they have
+(docs/experiments/2026-11-22-built-in-tracker.md); a face as flat as its landmarks gives head turns their true size.
 """
 MODES = 40
 

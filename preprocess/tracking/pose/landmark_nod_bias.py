@@ -1,7 +1,7 @@
 """Landmarks that hide a share of every nod, and how large a share other evidence says it is.
 
-The landmark network shows a nodding head as if it nodded less (docs/log.md). How much less is the same all through a
-clip, so it can be learnt from what does not hide nods; landmarks then keep what they are good at: every other turn, and
+The landmark network under-reports head pitch (docs/experiments/2026-11-29-skin-patch-depths-and-nod-bias.md). The
+share is constant over a clip, so it can be learnt from what does not hide nods; landmarks then keep what they are good at: every other turn, and
 what changes from frame to frame.
 """
 

@@ -1,7 +1,7 @@
 """Head poses for which the skin keeps its look.
 
-The landmark network hides a part of every nod: its points slide over the skin (docs/log.md). The skin's own texture
-does not. Spots all over the rigid part of the face are compared with how they look in the clip as a whole.
+The landmark network hides a part of every nod: its points slide over the skin
+(docs/experiments/2026-11-29-skin-texture-pose-cue.md). The skin's own texture does not. Spots all over the rigid part of the face are compared with how they look in the clip as a whole.
 """
 
 from __future__ import annotations

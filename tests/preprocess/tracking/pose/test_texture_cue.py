@@ -23,7 +23,10 @@ LENS = Lens(1000.0, (128.0, 128.0))
 NOD = np.sin(np.linspace(0, 2 * np.pi, FRAMES))
 SHAKE = 15 * np.cos(np.linspace(0, 4 * np.pi, FRAMES))
 HIDDEN = 0.25
-"""Share of a nod that the landmarks of these tests hide, as those of the network do (docs/log.md)."""
+"""Share of a nod that the landmarks of these tests hide, as those of the network do.
+
+Measured in docs/experiments/2026-11-29-skin-texture-pose-cue.md.
+"""
 
 
 @pytest.fixture(scope="module")
