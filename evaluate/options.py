@@ -12,7 +12,7 @@ from evaluate.protocols.protocol import PROTOCOLS, Protocol, named
 from ggavatar.cli.version import answer_version
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
-from ggavatar.formats.source_options import Source
+from ggavatar.formats.source_options import GaussianFileOptions
 
 Alias = tyro.conf.arg
 
@@ -97,7 +97,7 @@ class Options:
     """Print the table (its files are always written)."""
     protocol: str = "auto"
     """paper, strict, insta-350, flash-500, imavatar-face256, gaussian-avatars, folders; auto: by the run's split."""
-    source: tyro.conf.OmitArgPrefixes[Source] = field(default_factory=Source)
+    source: tyro.conf.OmitArgPrefixes[GaussianFileOptions] = field(default_factory=GaussianFileOptions)
     folders: tyro.conf.OmitArgPrefixes[Folders] = Folders()
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()

@@ -22,14 +22,14 @@ from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg, write_png
 from preprocess.formats.importers import metrical_tracker, vhap
-from preprocess.formats.tracking_record import FLAME_JOINTS, ForeignTracking
+from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.video.crop import Crop
 
 FLASH_AVATAR_SIDE = 512
 FLASH_AVATAR_TEST = 500
 
 
-def record_of(capture: Capture) -> ForeignTracking:
+def record_of(capture: Capture) -> TrackingRecord:
     """A capture's tracking as a record: five FLAME joints, frames numbered from 0 without gaps."""
     tracking = capture.tracking
     if tracking.joint_rotations.shape[1] < FLAME_JOINTS:
@@ -41,7 +41,7 @@ def record_of(capture: Capture) -> ForeignTracking:
     if not capture.head_version.startswith("flame"):
         notes.append(f"the head is {capture.head_version}, not FLAME: others' trainers would pose another head")
     wide = {name: value.astype(np.float64) for name, value in tracking.arrays().items()}
-    return ForeignTracking(
+    return TrackingRecord(
         numbers=np.arange(len(capture.frames)),
         width=capture.width,
         height=capture.height,
@@ -57,7 +57,7 @@ def record_of(capture: Capture) -> ForeignTracking:
     )
 
 
-def centred(record: ForeignTracking) -> tuple[ForeignTracking, Crop]:
+def centred(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
     """The record for images re-cropped so that the principal point is their centre, and that crop (same size, padded).
 
     GaussianAvatars and FlashAvatar ignore the principal point; one for the whole clip is used, rounded to whole px.
@@ -68,7 +68,7 @@ def centred(record: ForeignTracking) -> tuple[ForeignTracking, Crop]:
     return dataclasses.replace(record, intrinsics=crop.intrinsics(record.intrinsics)), crop
 
 
-def posed_by_camera(record: ForeignTracking, head: HeadModel) -> ForeignTracking:
+def posed_by_camera(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
     """The record with the head's root rotation and translation moved into the camera, as metrical-tracker has it.
 
     FLAME's root turns about joint 0 of the shaped head, not about the origin.
@@ -91,7 +91,7 @@ def posed_by_camera(record: ForeignTracking, head: HeadModel) -> ForeignTracking
     )
 
 
-def _root_joints(record: ForeignTracking, head: HeadModel) -> Float[np.ndarray, "T 3"]:
+def _root_joints(record: TrackingRecord, head: HeadModel) -> Float[np.ndarray, "T 3"]:
     """Joint 0 of the shaped head in every frame, m."""
     weights = head.joint_regressor[0].numpy().astype(np.float64)
     basis = np.einsum("v,vce->ec", weights, head.expression_basis.numpy().astype(np.float64))
@@ -99,7 +99,7 @@ def _root_joints(record: ForeignTracking, head: HeadModel) -> Float[np.ndarray, 
     return weights @ head.template.numpy().astype(np.float64) + used @ basis[: used.shape[1]]
 
 
-def posed_by_flame(record: ForeignTracking, head: HeadModel) -> ForeignTracking:
+def posed_by_flame(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
     """The record with a still camera 1 m in front of the head and all motion in FLAME's root.
 
     As VHAP has it (inverse of the above).

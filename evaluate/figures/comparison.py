@@ -10,7 +10,7 @@ import numpy as np
 from evaluate.figures.comparison_layout import Sample, comparison
 from evaluate.scoring.frame_files import common_frames, find_frame, frame_file
 from ggavatar.errors import InputError
-from ggavatar.io.images import read_grey, read_rgb, write_png
+from ggavatar.io.images import read_gray, read_rgb, write_png
 
 QUANTILES = {0.1: "easy (best 10 %)", 0.5: "median", 0.95: "hard (worst 5 %)"}
 
@@ -28,7 +28,7 @@ def load_sample(
     for name, render in renders.items():
         if render.shape != image.shape:
             raise InputError(f"{methods[name]}: expected frame {frame} of {_size(image)} px, found {_size(render)}")
-    masks = [read_grey(path) for folder in focus if (path := frame_file(folder, frame)).is_file()]
+    masks = [read_gray(path) for folder in focus if (path := frame_file(folder, frame)).is_file()]
     union = np.maximum.reduce(masks) if masks else None
     return Sample(label or f"frame {frame}", image, renders, union)
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ggavatar.errors import InputError
-from ggavatar.formats.source_options import Source, is_gaussian_file
+from ggavatar.formats.source_options import GaussianFileOptions, is_gaussian_file
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Options:
 
     run: tyro.conf.Positional[Path]
     """Run folder written by ggavatar-train, or FILE.ply of 3DGS or GaussianAvatars (docs/export.md)."""
-    source: tyro.conf.OmitArgPrefixes[Source] = field(default_factory=Source)
+    source: tyro.conf.OmitArgPrefixes[GaussianFileOptions] = field(default_factory=GaussianFileOptions)
     output_dir: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
     """Folder to write; RUN/renders/WHAT if not given."""
     split: Literal["test", "train", "all"] = "test"

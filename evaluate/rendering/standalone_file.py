@@ -13,7 +13,7 @@ from torch import Tensor
 from ggavatar.core import Camera, Drive, Gaussians, Rasterizer
 from ggavatar.formats.imported_avatar import BoundAvatar, ImportedAvatar, open_gaussians
 from ggavatar.formats.imported_run import WHITE, file_digest
-from ggavatar.formats.source_options import Source, results_folder
+from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.geometry.transforms import look_at
 from ggavatar.render.backends import pick
 
@@ -74,7 +74,7 @@ def extent(gaussians: Gaussians) -> tuple[Float[Tensor, "3"], float]:
     return (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
 
 
-def open_alone(path: Path, source: Source, device: str, backend: str) -> LoneFile:
+def open_alone(path: Path, source: GaussianFileOptions, device: str, backend: str) -> LoneFile:
     """Open a file of Gaussians without a capture.
 
     Raises:

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
 
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def frame_file(folder: Path, frame: int) -> Path:
@@ -30,7 +30,7 @@ def frame_files(folder: Path) -> dict[int, Path]:
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
         digits = re.findall(r"\d+", path.stem)
-        if path.suffix.lower() not in PICTURE_SUFFIXES or path.name.startswith(".") or not digits:
+        if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith(".") or not digits:
             continue
         number = int(digits[-1])
         if number in found:

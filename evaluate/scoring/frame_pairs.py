@@ -8,7 +8,7 @@ from pathlib import Path
 
 from evaluate.scoring.frame_files import frame_files
 from ggavatar.errors import InputError
-from ggavatar.io.images import picture_header
+from ggavatar.io.images import image_header
 
 MASKS = "masks"
 
@@ -67,9 +67,9 @@ def pair_folders(
 
 def require_equal_sizes(pair: FramePair) -> None:
     """Compare the sizes in the headers of a pair's files; `InputError` if they differ."""
-    size = picture_header(pair.prediction)[:2]
+    size = image_header(pair.prediction)[:2]
     for path in (pair.truth, *pair.masks.values()):
-        other = picture_header(path)[:2]
+        other = image_header(path)[:2]
         if other != size:
             raise InputError(
                 f"frame {pair.frame}: {pair.prediction} is {size[0]}x{size[1]} px and {path} is {other[0]}x{other[1]} "

@@ -8,11 +8,11 @@ from evaluate.protocols.protocol import GIVEN
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT, open_imported_run
-from ggavatar.formats.source_options import Source
+from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.training.run_folder import Run
 
 
-def open_file(path: Path, source: Source, split: str, device: str, backend: str = "auto") -> Run:
+def open_file(path: Path, source: GaussianFileOptions, split: str, device: str, backend: str = "auto") -> Run:
     """A file of Gaussians as a run; where the protocol takes the split as given, it is the capture's.
 
     Raises:
@@ -24,7 +24,7 @@ def open_file(path: Path, source: Source, split: str, device: str, backend: str 
     return open_imported_run(path, source, split, device, backend)
 
 
-def refuse_file_flags(path: Path, source: Source) -> None:
+def refuse_file_flags(path: Path, source: GaussianFileOptions) -> None:
     """Refuse flags that say how to open a file where a run is opened."""
     if source.head_model or source.flame_params or source.axes != "auto":
         raise InputError(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
-from ggavatar.io.images import picture_header
+from ggavatar.io.images import image_header
 
 Color = tuple[float, float, float]
 
@@ -44,7 +44,7 @@ def read_scored(path: Path, background: Color | None) -> Picture:
     Raises:
         InputError: The file is missing, damaged, or transparent without a known background.
     """
-    header = picture_header(path)
+    header = image_header(path)
     content = path.read_bytes()
     values = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None or values.shape[:2] != (header.height, header.width):
@@ -68,7 +68,7 @@ def read_weights(path: Path) -> tuple[Float[np.ndarray, "H W"], str]:
     Raises:
         InputError: The file is missing or damaged.
     """
-    picture_header(path)
+    image_header(path)
     content = path.read_bytes()
     values = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None:

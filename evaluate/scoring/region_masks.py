@@ -16,7 +16,7 @@ from ggavatar.core import Camera, Drive
 from ggavatar.geometry.transforms import project
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
-from ggavatar.io.images import read_grey, write_png
+from ggavatar.io.images import read_gray, write_png
 from ggavatar.training.run_folder import Run
 
 
@@ -38,7 +38,7 @@ def write_region_masks(run: Run, folder: Path, frames: Sequence[int], wanted: Se
     head = load_head(run.capture.head_path)
     drawn: set[str] = set()
     for number in frames:
-        person = read_grey(frame_file(folder / "masks", number))
+        person = read_gray(frame_file(folder / "masks", number))
         masks = frame_regions(head, run.reader.drive(number), run.reader.camera(number), person)
         for name in names:
             if name in masks:

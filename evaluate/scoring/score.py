@@ -79,7 +79,7 @@ def score(
     def work(pair: FramePair) -> Scored:
         return score_pair(pair, protocol, perceptual, faces)
 
-    for done, scored in enumerate(in_order(work, pairs, threads or min(8, os.cpu_count() or 1)), start=1):
+    for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, os.cpu_count() or 1)), start=1):
         gathering.add(scored)
         if progress:
             progress(done, len(pairs))
@@ -174,7 +174,7 @@ def _columns(protocol: Protocol) -> tuple[str, ...]:
     return ("mse", *protocol.columns, *inside)
 
 
-def in_order(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:
+def ordered_map(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:
     """Results of a function on a few threads, in the order of the items, with few of them in memory at a time."""
     waiting: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(threads, thread_name_prefix="score") as pool:

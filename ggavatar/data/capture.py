@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 
 from ggavatar.data.capture_schema import (
     check_head,
-    check_pictures,
+    check_images,
     check_tracking,
     read_description,
     read_tracking,
@@ -26,7 +26,7 @@ from ggavatar.data.capture_schema import (
 )
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
-from ggavatar.io.images import read_grey, read_rgb, write_png
+from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.npz import write_npz
 
 DESCRIPTION, TRACKING, HEAD, IMAGES, MASKS = "capture.json", "tracking.npz", "head.npz", "images", "masks"
@@ -133,7 +133,7 @@ class Capture:
             dropped=tuple(described.get("dropped", ())),
         )
         for subfolder in (IMAGES, MASKS):
-            check_pictures(
+            check_images(
                 [capture.picture_path(subfolder, number) for number in capture.frames], capture.width, capture.height
             )
         return capture
@@ -157,7 +157,7 @@ class Capture:
         """The soft foreground mask of a source frame, 255 = person, read from disk now."""
         self.row(number)
         with with_remedy(self.folder):
-            return read_grey(self.picture_path(MASKS, number))
+            return read_gray(self.picture_path(MASKS, number))
 
     def row(self, number: int) -> int:
         """The row of the tracking that belongs to a source frame number."""

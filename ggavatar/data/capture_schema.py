@@ -17,7 +17,7 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.images import picture_header
+from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import npz_headers, read_npz
 
@@ -249,10 +249,10 @@ def check_head(path: Path, version: str, expressions: int, joints: int) -> None:
             raise InputError(f"{path}: the head has {sizes[letter]} {what}, tracking.npz has {count}; {REMAKE}")
 
 
-def check_pictures(paths: Iterable[Path], width: int, height: int) -> None:
+def check_images(paths: Iterable[Path], width: int, height: int) -> None:
     """Every picture is there and of the stated size; only headers are read."""
     for path in paths:
-        header = picture_header(path)
+        header = image_header(path)
         if (header.width, header.height) != (width, height):
             raise InputError(
                 f"{path}: expected {width}×{height} px as capture.json says, found "

@@ -16,7 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import FILE, FlameParameters, read_flame_parameters
 from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH_FACES, with_teeth
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
-from ggavatar.formats.source_options import Source
+from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.stored_gaussians import Stored, activated
 from ggavatar.gaussians.binding import bind
 from ggavatar.geometry.triangles import triangle_frames
@@ -87,7 +87,7 @@ class BoundAvatar(ImportedAvatar):
 
 
 def open_gaussians(
-    path: Path, source: Source, capture: Capture | None = None, device: torch.device | str = "cpu"
+    path: Path, source: GaussianFileOptions, capture: Capture | None = None, device: torch.device | str = "cpu"
 ) -> ImportedAvatar:
     """A file of Gaussians as an avatar in evaluation mode.
 
@@ -122,7 +122,7 @@ def open_gaussians(
 
 
 def _head(
-    path: Path, source: Source, capture: Capture | None, highest: int
+    path: Path, source: GaussianFileOptions, capture: Capture | None, highest: int
 ) -> tuple[HeadModel, FlameParameters | None]:
     """The head that the Gaussians are bound to, and how the file poses it."""
     if source.head_model is None:

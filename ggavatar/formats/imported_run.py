@@ -11,7 +11,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.frames import Frames
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
-from ggavatar.formats.source_options import Source, results_folder
+from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.head.files import load_head
 from ggavatar.render.backends import pick
 from ggavatar.training.run_folder import Run, RunConfig, choose_split
@@ -21,7 +21,7 @@ DEFAULT_SPLIT = "every-20th"
 
 
 def open_imported_run(
-    path: Path, source: Source, split: str = DEFAULT_SPLIT, device: str = "cpu", backend: str = "auto"
+    path: Path, source: GaussianFileOptions, split: str = DEFAULT_SPLIT, device: str = "cpu", backend: str = "auto"
 ) -> Run:
     """Open a file of Gaussians as if it were a run on a capture.
 

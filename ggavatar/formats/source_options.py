@@ -10,7 +10,7 @@ SUFFIX = ".ply"
 
 
 @dataclass(frozen=True)
-class Source:
+class GaussianFileOptions:
     """What a file of Gaussians (FILE.ply in place of a run) does not say itself."""
 
     capture: Path | None = None

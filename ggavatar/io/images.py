@@ -35,7 +35,7 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 _JPEG_FRAMES = frozenset({0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 
 
-class PictureHeader(NamedTuple):
+class ImageHeader(NamedTuple):
     """What a picture's first bytes say about it."""
 
     width: int
@@ -44,7 +44,7 @@ class PictureHeader(NamedTuple):
     bit_depth: int
 
 
-def picture_header(path: Path) -> PictureHeader:
+def image_header(path: Path) -> ImageHeader:
     """Size, channels and bit depth of a PNG or JPEG file, from its header alone.
 
     Raises:
@@ -73,19 +73,19 @@ def picture_header(path: Path) -> PictureHeader:
     return header
 
 
-def _parse(stream: IO[bytes]) -> PictureHeader | None:
+def _parse(stream: IO[bytes]) -> ImageHeader | None:
     start = stream.read(8)
     if start == _PNG_SIGNATURE:
         length, kind, width, height, depth, color = struct.unpack(">I4sIIBB", stream.read(18))
         valid = kind == b"IHDR" and length == 13 and color in _PNG_CHANNELS
-        return PictureHeader(width, height, _PNG_CHANNELS[color], depth) if valid else None
+        return ImageHeader(width, height, _PNG_CHANNELS[color], depth) if valid else None
     if start[:2] == b"\xff\xd8":
         stream.seek(2)
         return _parse_jpeg(stream)
     return None
 
 
-def _parse_jpeg(stream: IO[bytes]) -> PictureHeader | None:
+def _parse_jpeg(stream: IO[bytes]) -> ImageHeader | None:
     """Walk the segments of a JPEG file to its frame header."""
     for _ in range(1000):
         (marker,) = struct.unpack(">H", stream.read(2))
@@ -97,7 +97,7 @@ def _parse_jpeg(stream: IO[bytes]) -> PictureHeader | None:
         (length,) = struct.unpack(">H", stream.read(2))
         if marker & 0xFF in _JPEG_FRAMES:
             depth, height, width, channels = struct.unpack(">BHHB", stream.read(6))
-            return PictureHeader(width, height, channels, depth)
+            return ImageHeader(width, height, channels, depth)
         stream.seek(length - 2, 1)
     return None
 
@@ -107,11 +107,11 @@ def read_rgb(path: Path) -> UInt8[np.ndarray, "H W 3"]:
     return _decode(path, color=True)
 
 
-def read_grey(path: Path) -> UInt8[np.ndarray, "H W"]:
+def read_gray(path: Path) -> UInt8[np.ndarray, "H W"]:
     """A mask as 8-bit grey: the alpha channel where there is one, else the luminance."""
     import cv2
 
-    header = picture_header(path)
+    header = image_header(path)
     if header.channels in (2, 4):
         picture = cv2.imdecode(_contents(path), cv2.IMREAD_UNCHANGED)
         if picture is not None and picture.ndim == 3:
@@ -122,7 +122,7 @@ def read_grey(path: Path) -> UInt8[np.ndarray, "H W"]:
 def _decode(path: Path, color: bool) -> np.ndarray:
     import cv2
 
-    header = picture_header(path)
+    header = image_header(path)
     flags = (cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE) | cv2.IMREAD_IGNORE_ORIENTATION
     picture = cv2.imdecode(_contents(path), flags)
     if picture is None or picture.shape[:2] != (header.height, header.width):

@@ -79,7 +79,7 @@ def load(backend: str) -> Rasterizer:
     return rasterizer
 
 
-def choose_device(name: str) -> str:
+def resolve_device(name: str) -> str:
     """A device by name; `auto` is CUDA where there is one, else the CPU."""
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"

@@ -12,7 +12,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
-from ggavatar.render.backends import choose_device
+from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
 from ggavatar.training.progress import Line, Listener, Silence
@@ -88,7 +88,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
 def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, Split]:
     """Everything that decides a new training, from presets and options."""
     method = registry.load(options.get("method", "ggavatar"))
-    device = choose_device(options.get("device", "auto"))
+    device = resolve_device(options.get("device", "auto"))
     chosen = options.get("preset", "default")
     training = preset(chosen, device)
     changes = {

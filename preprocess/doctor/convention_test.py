@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.doctor.conventions import AXES, OTHERS, Hypothesis
 from preprocess.doctor.frame_offset import find_offset, picture_change
 from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
@@ -59,7 +59,7 @@ class Evidence:
             drawn = silhouette(pixels * self.scale, depth, self.faces, (mask.shape[1], mask.shape[0]))
             return _overlap_above(drawn, mask)
 
-        return np.array(list(in_order(score, zip(self.rows, self.vertices, self.masks, strict=True))))
+        return np.array(list(ordered_map(score, zip(self.rows, self.vertices, self.masks, strict=True))))
 
 
 def _overlap_above(drawn: np.ndarray, seen: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from jaxtyping import Float, UInt8
 from ggavatar.data.capture import Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
 PAIRS = 120
@@ -157,7 +157,7 @@ class _CarriedPicture:
         self._vertices = front[:: max(1, len(front) // VERTICES)]
         self._projected: dict[int, np.ndarray] = {}
         frames = sorted({frame for pair in pairs for frame in pair})
-        self._pictures = dict(zip(frames, in_order(lambda frame: _smooth_grey(image(frame)), frames), strict=True))
+        self._pictures = dict(zip(frames, ordered_map(lambda frame: _smooth_grey(image(frame)), frames), strict=True))
 
     def change(self, first: int, second: int, first_row: int, second_row: int) -> float:
         """Mean absolute difference between two frames, each seen through a row of the tracking.

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, UInt8
 
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
 BLURRED = 0.3
@@ -101,7 +101,7 @@ def coverage(tracking: Tracking) -> dict[str, Any]:
 def picture_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
     """Blurred and repeated frames; sharpness is measured within the masked person."""
     sharpness, repeated, before = [], [], None
-    looked = in_order(lambda number: _look(capture, number), capture.frames)
+    looked = ordered_map(lambda number: _look(capture, number), capture.frames)
     for number, (grey, detail) in zip(capture.frames, looked, strict=True):
         sharpness.append(detail)
         if before is not None and float(cv2.absdiff(grey, before).mean()) < REPEATED:

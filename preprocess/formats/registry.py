@@ -10,7 +10,7 @@ from typing import Protocol, cast, runtime_checkable
 
 import preprocess.formats.importers
 from ggavatar.errors import InputError
-from preprocess.formats.tracking_record import ForeignTracking
+from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 
 SWAPPED_SIZE = "swapped-size"
@@ -27,11 +27,11 @@ class Importer(Protocol):
         """Whether the folder or file looks like this format; cheap, never raises for foreign content."""
         ...
 
-    def read(self, folder: Path) -> ForeignTracking:
+    def read(self, folder: Path) -> TrackingRecord:
         """Read it in our conventions; `InputError` naming the file for anything wrong."""
         ...
 
-    def write(self, folder: Path, record: ForeignTracking) -> None:
+    def write(self, folder: Path, record: TrackingRecord) -> None:
         """Write the format, as exactly as it can hold the tracking."""
         ...
 
@@ -66,7 +66,7 @@ def detect_format(folder: Path) -> str:
     raise InputError(f"{folder}: {what}")
 
 
-def read_foreign(options: PrepOptions) -> tuple[str, ForeignTracking]:
+def read_foreign(options: PrepOptions) -> tuple[str, TrackingRecord]:
     """Read the tracking that `--tracking` names; also gives the format's name, detected unless `--format` says it."""
     folder = options.tracking
     if folder is None:

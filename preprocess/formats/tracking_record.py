@@ -16,7 +16,7 @@ FLAME_JOINTS = 5
 
 
 @dataclass(frozen=True)
-class ForeignTracking:
+class TrackingRecord:
     """Cameras and FLAME parameters of T frames in the conventions of docs/conventions.md.
 
     Attributes:
@@ -49,7 +49,7 @@ class ForeignTracking:
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
-    def rows(self, chosen: np.ndarray) -> ForeignTracking:
+    def rows(self, chosen: np.ndarray) -> TrackingRecord:
         """The tracking of some rows."""
         names = ("numbers", "intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
         return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in names})
@@ -62,7 +62,7 @@ def stacked(source: object, rows: Sequence[np.ndarray], what: str) -> np.ndarray
     return np.stack(rows)
 
 
-def require_finite(source: object, record: ForeignTracking) -> ForeignTracking:
+def require_finite(source: object, record: TrackingRecord) -> TrackingRecord:
     """The record itself; `InputError` naming the source if a number is NaN, infinite or absurdly large."""
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.masks.cleanup import only_person, to_mask
 from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
@@ -104,7 +104,7 @@ class SelfieMatting:
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         """Masks with one image of look-ahead; threads finish some while the network sees others."""
-        return in_order(lambda three: _finished(*three), self._neighbours(images))
+        return ordered_map(lambda three: _finished(*three), self._neighbours(images))
 
     def _neighbours(self, images: Iterable[np.ndarray]) -> Iterator[tuple[_Seen | None, _Seen, _Seen | None]]:
         """Every image as it is seen, between the one before and the one after."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
-from preprocess.formats.tracking_record import ForeignTracking
+from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.read_stage import selection_of
 from preprocess.pipeline.stage import Job, Stage, file_state
@@ -47,7 +47,7 @@ def run(job: Job) -> Mapping[str, Any]:
     numbers = list(source["numbers"])
     wanted = selection_of(options).keep(open_source(options.input, options.fps).frames())
     done = 0
-    for done, _ in enumerate(in_order(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
+    for done, _ in enumerate(ordered_map(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
         job.reporter.advance(done, len(numbers))
     if done != len(numbers):
         raise InputError(
@@ -96,12 +96,12 @@ def _crop_for_faces(job: Job, width: int, height: int) -> Crop:
     return crop
 
 
-def tracked_size_fits(record: ForeignTracking, width: int, height: int) -> bool:
+def tracked_size_fits(record: TrackingRecord, width: int, height: int) -> bool:
     """Whether the tracker saw the whole frame, maybe resampled."""
     return abs(record.width * height - record.height * width) <= 0.01 * record.width * height
 
 
-def _size_mismatch(record: ForeignTracking, width: int, height: int) -> str:
+def _size_mismatch(record: TrackingRecord, width: int, height: int) -> str:
     """What to do about a tracker that saw other pictures than these."""
     found = f"the tracking was made on {record.width}×{record.height} px images, the video has {width}×{height} px"
     if abs(record.height * height - record.width * width) <= 0.01 * record.width * width:
@@ -112,7 +112,7 @@ def _size_mismatch(record: ForeignTracking, width: int, height: int) -> str:
     )
 
 
-def _crop_for_tracking(record: ForeignTracking, width: int, height: int, size: int) -> Crop:
+def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: int) -> Crop:
     """The whole frame if it is square, else a square around the tracked heads."""
     if not tracked_size_fits(record, width, height):
         raise InputError(_size_mismatch(record, width, height))

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import GateError, InputError
-from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.images import image_header, read_gray, read_rgb, write_png
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.video.crop import Crop, crop_from_json
-from preprocess.video.image_folder import numbered_pictures
+from preprocess.video.image_folder import numbered_images
 
 KINDS = ("auto", "selfie", "grabcut")
 NETWORK_FILES = frozenset({".onnx", ".torchscript", ".pt", ".pth"})
@@ -38,7 +38,7 @@ def _own_masks(job: Job, folder: Path) -> Mapping[str, Any]:
     """Masks the user has, paired by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers, files = list(job.results["frames"]["numbers"]), numbered_pictures(folder)
+    numbers, files = list(job.results["frames"]["numbers"]), numbered_images(folder)
     if not files:
         raise InputError(f"{folder}: no PNG or JPEG masks in this folder")
     crop, size = crop_from_json(dict(job.results["crop"]["crop"])), _source_size(job)
@@ -54,7 +54,7 @@ def _own_masks(job: Job, folder: Path) -> Mapping[str, Any]:
         if not target.exists():
             write_png(target, fitted_mask(files[number + offset], crop, size))
 
-    for done, _ in enumerate(in_order(write, kept), start=1):
+    for done, _ in enumerate(ordered_map(write, kept), start=1):
         job.reporter.advance(done, len(kept))
     _report_missing(job, folder, len(numbers), len(kept), offset)
     return {"numbers": kept, "kind": "files", "offset": offset, "name": folder.name}
@@ -79,12 +79,12 @@ def fitted_mask(path: Path, crop: Crop, source_size: tuple[int, int]) -> np.ndar
 
     Cropped like the images if it has the source's size, taken as it is if it has the capture's.
     """
-    header = picture_header(path)
+    header = image_header(path)
     found = (header.width, header.height)
     if found == source_size:
-        return crop.image(read_grey(path))
+        return crop.image(read_gray(path))
     if found == (crop.out_width, crop.out_height):
-        return read_grey(path)
+        return read_gray(path)
     raise InputError(
         f"{path}: expected {source_size[0]}×{source_size[1]} px like the video or "
         f"{crop.out_width}×{crop.out_height} px like the capture, "
@@ -105,12 +105,12 @@ def _computed_masks(job: Job, wanted: str) -> Mapping[str, Any]:
     for warning in matting.warnings:
         job.reporter.warn(warning)
     names = [f"{number:06d}.png" for number in numbers]
-    masks = matting.masks(in_order(lambda name: read_rgb(job.folder / "images" / name), names))
+    masks = matting.masks(ordered_map(lambda name: read_rgb(job.folder / "images" / name), names))
 
     def write(each: tuple[str, np.ndarray]) -> None:
         write_png(job.folder / "masks" / each[0], each[1])
 
-    for done, _ in enumerate(in_order(write, zip(names, masks, strict=True)), start=1):
+    for done, _ in enumerate(ordered_map(write, zip(names, masks, strict=True)), start=1):
         job.reporter.advance(done, len(numbers))
     return {"numbers": numbers, "kind": matting.name, "offset": 0, "name": matting.name}
 

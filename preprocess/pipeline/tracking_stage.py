@@ -13,12 +13,12 @@ import torch
 from ggavatar.data.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.io.images import read_grey, read_rgb
+from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.doctor.conventions import apply_fixes
 from preprocess.doctor.frame_offset import find_offset
 from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
-from preprocess.formats.tracking_record import FLAME_JOINTS, ForeignTracking
+from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
@@ -60,7 +60,7 @@ def _tracked(job: Job, numbers: list[int]) -> TrackedSequence:
     from preprocess.tracking.tracker import track
 
     images = PicturesOnDisk(job, "images", numbers, read_rgb)
-    masks = PicturesOnDisk(job, "masks", numbers, read_grey)
+    masks = PicturesOnDisk(job, "masks", numbers, read_gray)
     source, crop = job.results["frames"], crop_from_json(dict(job.results["crop"]["crop"]))
     middle = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
     center = crop.intrinsics(middle)[:2, 2]
@@ -120,12 +120,12 @@ def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]
 def with_torso(job: Job, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
     """The tracking with the torso's own motion, which other trackers do not tell."""
     images = PicturesOnDisk(job, "images", numbers, read_rgb)
-    masks = PicturesOnDisk(job, "masks", numbers, read_grey)
+    masks = PicturesOnDisk(job, "masks", numbers, read_gray)
     torso = followed_torso(head, tracking, images, masks, float(job.results["frames"]["fps"]))
     return dataclasses.replace(tracking, torso_to_camera=torso)
 
 
-def _warnings(record: ForeignTracking, pairing: Mapping[str, Any], lost: int) -> list[str]:
+def _warnings(record: TrackingRecord, pairing: Mapping[str, Any], lost: int) -> list[str]:
     warnings = list(record.notes)
     if pairing.get("offset") != pairing.get("suggested"):
         warnings.append(
@@ -153,7 +153,7 @@ def _offset(
     return found.offset, {"offset": found.offset, "suggested": found.suggested, "scores": scores}
 
 
-def _head(options: PrepOptions, record: ForeignTracking) -> tuple[Any, list[str]]:
+def _head(options: PrepOptions, record: TrackingRecord) -> tuple[Any, list[str]]:
     """The head model that the tracking's parameters belong to, identity folded in."""
     from ggavatar.head.files import load_head
     from ggavatar.head.flame import is_flame, load_flame
@@ -181,7 +181,7 @@ def _head_path(options: PrepOptions) -> Path:
     return path
 
 
-def with_static_offset(head: HeadModel, record: ForeignTracking) -> HeadModel:
+def with_static_offset(head: HeadModel, record: TrackingRecord) -> HeadModel:
     """The head with the tracker's per-vertex offsets (VHAP) folded into its template.
 
     Vertices FLAME does not have are left out.
@@ -195,7 +195,7 @@ def with_static_offset(head: HeadModel, record: ForeignTracking) -> HeadModel:
     return dataclasses.replace(head, template=template)
 
 
-def to_tracking(record: ForeignTracking, expressions: int, joint_names: tuple[str, ...], job: Job) -> Tracking:
+def to_tracking(record: TrackingRecord, expressions: int, joint_names: tuple[str, ...], job: Job) -> Tracking:
     """A foreign record as tracking of the capture: padded to the head's sizes, intrinsics in px of the capture."""
     crop, source = crop_from_json(dict(job.results["crop"]["crop"])), job.results["frames"]
     scale = np.diag([source["width"] / record.width, source["height"] / record.height, 1.0])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.tracking.face.clip_fit import Clip
 from preprocess.tracking.geometry.rigid import nearest_true
@@ -44,7 +44,7 @@ def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float,
     """Landmarks and torso motion of every frame, holding a few pictures at a time."""
     torso, points, scores, texture, kept, distances, skin = TorsoTracker(), [], [], [], [], [], []
     rows, size = chosen_rows(len(images)), (0, 0)
-    pictures = in_order(lambda index: (images[index], masks[index]), range(len(images)))
+    pictures = ordered_map(lambda index: (images[index], masks[index]), range(len(images)))
     for index, (image, mask) in enumerate(pictures):
         size = (image.shape[1], image.shape[0])
         found = tracker.landmarks(image)

@@ -8,19 +8,19 @@ from functools import partial
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.io.images import picture_header, read_rgb
+from ggavatar.io.images import image_header, read_rgb
 from preprocess.video.frame import DecodedFrame
 
-PICTURES = frozenset({".png", ".jpg", ".jpeg"})
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 
 
-class PictureFolder:
+class ImageFolder:
     """PNG or JPEG files whose names hold the frame number."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self.path = path
         self._fps = fps
-        self._files = numbered_pictures(path)
+        self._files = numbered_images(path)
         if not self._files:
             raise InputError(
                 f"{path}: no pictures in this folder; expected PNG or JPEG files with numbers in their names"
@@ -30,7 +30,7 @@ class PictureFolder:
         """All pictures by number; they must be of one size."""
         size: tuple[int, int] | None = None
         for row, (number, path) in enumerate(self._files.items()):
-            header = picture_header(path)
+            header = image_header(path)
             size = size or (header.width, header.height)
             if (header.width, header.height) != size:
                 found = f"{header.width}×{header.height}"
@@ -42,13 +42,13 @@ class PictureFolder:
         return []
 
 
-def numbered_pictures(folder: Path) -> dict[int, Path]:
+def numbered_images(folder: Path) -> dict[int, Path]:
     """PNG and JPEG files of a folder by the last number in their names, ascending.
 
     By position if numbers are missing or repeat.
     """
     files = sorted(
-        path for path in folder.iterdir() if path.suffix.lower() in PICTURES and not path.name.startswith(".")
+        path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
     )
     digits = [re.findall(r"\d+", path.stem) for path in files]
     numbers = [int(found[-1]) if found and len(found[-1]) <= 9 else -1 for found in digits]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ggavatar.errors import InputError
 from preprocess.video.frame import Source
-from preprocess.video.image_folder import PictureFolder
+from preprocess.video.image_folder import ImageFolder
 
 
 def open_source(path: Path, fps: float | None = None) -> Source:
@@ -25,7 +25,7 @@ def open_source(path: Path, fps: float | None = None) -> Source:
     from preprocess.video.decoding import Video
 
     if path.is_dir():
-        return PictureFolder(path, fps or 25.0)
+        return ImageFolder(path, fps or 25.0)
     if not path.exists():
         raise InputError(f"{path}: no such file; give a video or a folder of PNG or JPEG pictures")
     return Video(path)

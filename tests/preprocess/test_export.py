@@ -9,7 +9,7 @@ import pytest
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.io.images import picture_header, read_rgb
+from ggavatar.io.images import image_header, read_rgb
 from preprocess import export
 from preprocess.cli.prep import main
 from preprocess.export import centred, export_flash_avatar, export_gaussian_avatars, posed_by_camera, posed_by_flame
@@ -69,7 +69,7 @@ def test_gaussian_avatars_layout(capture, tmp_path):
     names = ("transforms_train.json", "transforms_val.json", "transforms_test.json", "canonical_flame_param.npz")
     assert all((tmp_path / "ga" / name).is_file() for name in names)
     assert report["frames"] == 10 and any("eyelids" in str(note) for note in report["notes"])
-    assert picture_header(tmp_path / "ga" / "images" / "00009_00.png")[:2] == (96, 96)
+    assert image_header(tmp_path / "ga" / "images" / "00009_00.png")[:2] == (96, 96)
     assert (read_rgb(tmp_path / "ga" / "images" / "00000_00.png")[0, 0] == 255).all()
     expected = centred(export.record_of(capture))[0]
     lidless = dataclasses.replace(expected, eyelids=0 * expected.eyelids)

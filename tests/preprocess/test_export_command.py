@@ -14,7 +14,7 @@ from ggavatar.formats.capture_layouts import capture_formats
 from preprocess import export as exporters
 from preprocess.cli.prep import main as prepare
 from preprocess.formats.importers import metrical_tracker, vhap
-from preprocess.formats.tracking_record import ForeignTracking
+from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.tracking.geometry.projection import posed_vertices, project
 from tests.support.synthetic_clip import as_tracking, ball_head, make_clip
 
@@ -27,7 +27,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
     return Capture.open(folder)
 
 
-def pixels(record: ForeignTracking, row: int) -> np.ndarray:
+def pixels(record: TrackingRecord, row: int) -> np.ndarray:
     record = dataclasses.replace(record, expression=record.expression[:, :4], eyelids=0 * record.eyelids)
     posed = posed_vertices(ball_head(), as_tracking(record), row)
     return project(posed, record.intrinsics[row], record.world_to_camera[row])[0]

@@ -14,7 +14,7 @@ from ggavatar.head.files import save_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_png
 from preprocess.formats.importers import metrical_tracker
-from preprocess.formats.tracking_record import ForeignTracking
+from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.tracking.geometry.projection import posed_vertices, project, silhouette
 
 
@@ -57,7 +57,7 @@ def ball_head(version: str = "ball-1", expressions: int = 4) -> HeadModel:
     )
 
 
-def moving_record(count: int = 24, size: tuple[int, int] = (96, 96), expressions: int = 4) -> ForeignTracking:
+def moving_record(count: int = 24, size: tuple[int, int] = (96, 96), expressions: int = 4) -> TrackingRecord:
     """A head that turns and sways in front of a still camera, as metrical-tracker would store it (the camera moves)."""
     width, height = size
     time = np.arange(count) / 4
@@ -74,7 +74,7 @@ def moving_record(count: int = 24, size: tuple[int, int] = (96, 96), expressions
     joints = np.zeros((count, 5, 3))
     joints[:, 2, 0] = 0.2 * (1 - np.cos(3 * time))
     joints[:, 3:, 1] = 0.1 * np.sin(time)[:, None]
-    return ForeignTracking(
+    return TrackingRecord(
         numbers=np.arange(count),
         width=width,
         height=height,
@@ -88,7 +88,7 @@ def moving_record(count: int = 24, size: tuple[int, int] = (96, 96), expressions
     )
 
 
-def weak_perspective(count: int) -> ForeignTracking:
+def weak_perspective(count: int) -> TrackingRecord:
     """A record such as DECA's codes can hold."""
     record = moving_record(count, (224, 224))
     poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (count, 1, 1))
@@ -100,12 +100,12 @@ def weak_perspective(count: int) -> ForeignTracking:
     return dataclasses.replace(record, world_to_camera=poses, intrinsics=intrinsics, joint_rotations=joints)
 
 
-def as_tracking(record: ForeignTracking) -> Tracking:
+def as_tracking(record: TrackingRecord) -> Tracking:
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     return Tracking(**{name: getattr(record, name) for name in names})
 
 
-def draw(head: HeadModel, record: ForeignTracking, row: int) -> tuple[np.ndarray, np.ndarray]:
+def draw(head: HeadModel, record: TrackingRecord, row: int) -> tuple[np.ndarray, np.ndarray]:
     """A picture [H, W, 3] and mask [H, W] of one frame: a shaded head on a striped wall."""
     pixels, depth = project(
         posed_vertices(head, as_tracking(record), row), record.intrinsics[row], record.world_to_camera[row]
@@ -140,7 +140,7 @@ class Clip:
 
     folder: Path
     head: HeadModel
-    record: ForeignTracking
+    record: TrackingRecord
 
     @property
     def arguments(self) -> list[str]:

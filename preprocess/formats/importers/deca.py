@@ -15,7 +15,7 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.npz import read_npz, write_npz
 from preprocess.formats.json_fields import camera_matrix, last_number
-from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
 TITLE = "DECA / EMOCA / SMIRK codes: NAME.npz or NAME/{shape,exp,pose,cam}.npy"
 SIDE = 224
@@ -43,14 +43,14 @@ def recognises(folder: Path) -> bool:
         return False
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read all codes; `InputError` naming the file for anything wrong."""
     frames = {last_number(path, path.stem): _code(path) for path in _entries(folder)}
     if not frames:
         raise InputError(f"{folder}: no codes; expected {TITLE}")
     numbers = sorted(frames)
     codes = [frames[number] for number in numbers]
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=SIDE,
         height=SIDE,
@@ -119,7 +119,7 @@ def _checked(path: Path, values: Mapping[str, np.ndarray], key: str) -> np.ndarr
     return value.astype(np.float64).ravel()
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write one npz an image; cameras must be weak-perspective ones as `read` makes them."""
     for row, number in enumerate(record.numbers.tolist()):
         pose, intrinsics = record.world_to_camera[row], record.intrinsics[row]

@@ -15,10 +15,10 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.images import picture_header
+from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json
 from preprocess.formats.json_fields import array, camera_matrix, frame_list, last_number
-from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
 TITLE = "IMavatar / PointAvatar / MonoGaussianAvatar: flame_params.json"
 SCALE = 4.0
@@ -35,7 +35,7 @@ def _path(folder: Path) -> Path:
     return folder if folder.name == "flame_params.json" else folder / "flame_params.json"
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
     path = _path(folder)
     data = read_json(path)
@@ -43,7 +43,7 @@ def read(folder: Path) -> ForeignTracking:
     numbers = sorted(frames)
     width, height = _image_size(path.parent)
     poses, joints, expressions = zip(*(_frame(path, frames[step]) for step in numbers), strict=True)
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
@@ -64,7 +64,7 @@ def _image_size(folder: Path) -> tuple[int, int]:
     for name in ("image", "images"):
         found = sorted((folder / name).glob("*.png")) if (folder / name).is_dir() else []
         if found:
-            header = picture_header(found[0])
+            header = image_header(found[0])
             return header.width, header.height
     return OLD_SIZE, OLD_SIZE
 
@@ -91,7 +91,7 @@ def _frame(path: Path, frame: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray
     return pose, joints, array(path, frame.get("expression"), (None,), "'expression'")
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write flame_params.json; frame numbers are shifted to start at 1, coefficients beyond 50 and 100 must be zero."""
     if np.any(record.expression[:, 50:]) or (record.shape is not None and np.any(record.shape[100:])):
         raise InputError("flame_params.json holds 50 expression and 100 identity coefficients; this tracking uses more")
@@ -109,7 +109,7 @@ def write(folder: Path, record: ForeignTracking) -> None:
     write_text(_path(folder), text)
 
 
-def _entry(record: ForeignTracking, row: int, step: int) -> dict[str, Any]:
+def _entry(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
     """One frame; the head's translation goes into the camera, where the format has it."""
     pose = record.world_to_camera[row]
     moved = pose[:3, :3] @ record.translation[row] + pose[:3, 3]

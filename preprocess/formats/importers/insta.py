@@ -33,7 +33,7 @@ from preprocess.formats.json_fields import (
     last_number,
     number,
 )
-from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 
@@ -43,7 +43,7 @@ def recognises(folder: Path) -> bool:
     return (folder / "transforms.json").is_file() and (folder / "flame" / "exp").is_dir()
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
     path = folder / "transforms.json"
     data = read_json(path)
@@ -54,7 +54,7 @@ def read(folder: Path) -> ForeignTracking:
     matrices = [array(path, frames[step].get("transform_matrix"), (4, 4), "'transform_matrix'") for step in numbers]
     coefficients = [_coefficients(path, frames[step], step) for step in numbers]
     has_jaw = (folder / "flame" / "jaw").is_dir()
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
@@ -117,7 +117,7 @@ def _text(path: Path, optional: bool = False) -> Any:
         raise InputError(f"{path}: expected numbers separated by spaces or lines") from error
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write transforms.json, its splits (the last 350 test) and the text files.
 
     Only the first frame's intrinsics fit into the format.
@@ -144,7 +144,7 @@ def write(folder: Path, record: ForeignTracking) -> None:
         write_text(folder / f"transforms{suffix}.json", text)
 
 
-def _frame(record: ForeignTracking, row: int, step: int) -> dict[str, Any]:
+def _frame(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
     name = f"{step:05d}"
     return {
         "transform_matrix": invert(record.world_to_camera[row]).tolist(),
@@ -156,7 +156,7 @@ def _frame(record: ForeignTracking, row: int, step: int) -> dict[str, Any]:
     }
 
 
-def _write_coefficients(folder: Path, record: ForeignTracking, row: int, step: int) -> None:
+def _write_coefficients(folder: Path, record: TrackingRecord, row: int, step: int) -> None:
     rows = matrix_to_rotation_6d(axis_angle_to_matrix(torch.from_numpy(record.joint_rotations[row, 2:]))).numpy()
     shape = record.shape if record.shape is not None else np.zeros(300)
     parts = {

@@ -22,7 +22,7 @@ from ggavatar.geometry.transforms import (
     rotation_6d_to_matrix,
 )
 from ggavatar.io.restricted_pickle import read_pickle
-from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
 TITLE = "metrical-tracker: folder of %05d.frame"
 _NAME = re.compile(r"^(\d{1,9})\.frame$")
@@ -43,7 +43,7 @@ def _files(folder: Path) -> dict[int, Path]:
     return {}
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read every `.frame` of a folder.
 
     Raises:
@@ -65,7 +65,7 @@ def read(folder: Path) -> ForeignTracking:
         () if np.allclose(shapes, shapes[0], atol=1e-5) else ("the identity changes between frames; the first is used",)
     )
     arrays = {name: stacked(folder, [frame[name] for frame in frames], name) for name in frames[0] if name != "size"}
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(list(files), dtype=np.int64),
         width=width,
         height=height,
@@ -133,7 +133,7 @@ def _array(path: Path, table: Mapping[str, Any], key: str, shape: tuple[int | No
     )
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write `.frame` files such as metrical-tracker's, readable by FlashAvatar, INSTA and others.
 
     Raises:
@@ -149,7 +149,7 @@ def write(folder: Path, record: ForeignTracking) -> None:
         torch.save(_frame(record, row), folder / f"{int(number):05d}.frame")
 
 
-def _frame(record: ForeignTracking, row: int) -> dict[str, Any]:
+def _frame(record: TrackingRecord, row: int) -> dict[str, Any]:
     """The dictionary of one frame."""
     joints = torch.from_numpy(record.joint_rotations[row])
     rows = matrix_to_rotation_6d(axis_angle_to_matrix(joints)).numpy()

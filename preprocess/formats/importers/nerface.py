@@ -15,10 +15,10 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.images import picture_header
+from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json
 from preprocess.formats.json_fields import array, camera_matrix, frame_list, invert, last_number
-from preprocess.formats.tracking_record import ForeignTracking, require_finite
+from preprocess.formats.tracking_record import TrackingRecord, require_finite
 
 TITLE = "NeRFace: transforms_{train,val,test}.json with expression and bbox (not FLAME)"
 _PARTS = ("train", "val", "test")
@@ -40,7 +40,7 @@ def recognises(folder: Path) -> bool:
     return "intrinsics" in data and isinstance(first, dict) and "expression" in first
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read cameras and coefficients of all splits; `InputError` naming the file for anything wrong."""
     files = _files(folder)
     if not files:
@@ -57,7 +57,7 @@ def read(folder: Path) -> ForeignTracking:
     numbers, count = sorted(found), len(found)
     if len({len(found[step][2]) for step in numbers}) != 1:
         raise InputError(f"{files[0]}: frames have different numbers of coefficients in 'expression'")
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
@@ -77,7 +77,7 @@ def _image_size(folder: Path) -> tuple[int, int]:
     for part in _PARTS:
         found = sorted((folder / part).glob("*.png")) if (folder / part).is_dir() else []
         if found:
-            header = picture_header(found[0])
+            header = image_header(found[0])
             return header.width, header.height
     return OLD_SIZE, OLD_SIZE
 
@@ -93,7 +93,7 @@ def _frame(
     return intrinsics, pose, array(path, frame.get("expression"), (None,), "'expression'")
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write the three files: the last 20 % test, nothing is left for validation but the last training frame."""
     first = record.intrinsics[0]
     lens = [-first[0, 0], first[1, 1], (first[0, 2] - 0.5) / record.width, (first[1, 2] - 0.5) / record.height]

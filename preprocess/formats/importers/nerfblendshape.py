@@ -23,7 +23,7 @@ from preprocess.formats.json_fields import (
     number,
     world_to_camera_gl,
 )
-from preprocess.formats.tracking_record import ForeignTracking, require_finite
+from preprocess.formats.tracking_record import TrackingRecord, require_finite
 
 TITLE = "NeRFBlendShape: transforms.json with exp_ori (not FLAME)"
 
@@ -39,7 +39,7 @@ def recognises(folder: Path) -> bool:
     return isinstance(first, dict) and "img_id" in first and "exp_ori" in first
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read cameras and coefficients; `InputError` naming the file for anything wrong."""
     path = folder / "transforms.json"
     data = read_json(path)
@@ -56,7 +56,7 @@ def read(folder: Path) -> ForeignTracking:
     expression = [array(path, frames[step].get("exp_ori"), (None,), "'exp_ori'") for step in numbers]
     if len({len(values) for values in expression}) != 1:
         raise InputError(f"{path}: frames have different numbers of coefficients in 'exp_ori'")
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
@@ -72,7 +72,7 @@ def read(folder: Path) -> ForeignTracking:
     return require_finite(folder, record)
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write transforms.json."""
     intrinsics = record.intrinsics[0]
     frames = [

@@ -12,7 +12,7 @@ import numpy as np
 from ggavatar.data.capture_schema import check_tracking, read_tracking
 from ggavatar.errors import InputError
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
-from preprocess.formats.tracking_record import ForeignTracking, require_finite
+from preprocess.formats.tracking_record import TrackingRecord, require_finite
 
 TITLE = (
     "plain npz: intrinsics, world_to_camera, expression, joint_rotations, eyelids, translation, frames, width, height"
@@ -29,7 +29,7 @@ def recognises(folder: Path) -> bool:
         return False
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read the file; `version` (unicode) may name FLAME's version."""
     arrays = read_tracking(folder)
     count = arrays["intrinsics"].shape[0]
@@ -48,7 +48,7 @@ def read(folder: Path) -> ForeignTracking:
         raise InputError(f"{folder}: expected 'frames' to be {count} ascending frame numbers")
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     values = {name: arrays[name].astype(np.float64) for name in names}
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=numbers.astype(np.int64),
         width=width,
         height=height,
@@ -71,7 +71,7 @@ def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:
     return int(value)
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write the file."""
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     arrays = {name: getattr(record, name) for name in names}

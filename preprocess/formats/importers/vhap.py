@@ -27,7 +27,7 @@ from preprocess.formats.json_fields import (  # fmt: skip
     number,
     world_to_camera_gl,
 )
-from preprocess.formats.tracking_record import ForeignTracking, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
 TITLE = "VHAP export / GaussianAvatars: transforms.json with flame_param/%05d.npz"
 _KEYS = (
@@ -51,7 +51,7 @@ def recognises(folder: Path) -> bool:
     )
 
 
-def read(folder: Path) -> ForeignTracking:
+def read(folder: Path) -> TrackingRecord:
     """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
     frames, source = _frames(folder)
     camera = min((frame.get("camera_index", 0) for frame in frames), key=str)
@@ -68,7 +68,7 @@ def read(folder: Path) -> ForeignTracking:
         camera_to_world_gl(array(source, chosen[step].get("transform_matrix"), (4, 4), "'transform_matrix'"))
         for step in numbers
     ]
-    record = ForeignTracking(
+    record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
@@ -148,7 +148,7 @@ def _joints(values: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([values[name].reshape(-1, 3) for name in names])
 
 
-def write(folder: Path, record: ForeignTracking) -> None:
+def write(folder: Path, record: TrackingRecord) -> None:
     """Write transforms.json, its splits and flame_param as VHAP does: the first 70 % train, the rest tests.
 
     GaussianAvatars ignores the principal point: give it images whose centre it is.
@@ -183,7 +183,7 @@ def write(folder: Path, record: ForeignTracking) -> None:
 _STILL = frozenset({"translation", "rotation", "neck_pose", "eyes_pose", "expr"})
 
 
-def _flame_arrays(record: ForeignTracking, row: int, static: np.ndarray) -> dict[str, np.ndarray]:
+def _flame_arrays(record: TrackingRecord, row: int, static: np.ndarray) -> dict[str, np.ndarray]:
     joints = record.joint_rotations[row]
     shape = record.shape if record.shape is not None else np.zeros(300)
     return {
@@ -198,7 +198,7 @@ def _flame_arrays(record: ForeignTracking, row: int, static: np.ndarray) -> dict
     }
 
 
-def _frame(record: ForeignTracking, row: int, step: int) -> dict[str, Any]:
+def _frame(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
     """One entry of transforms.json."""
     intrinsics = record.intrinsics[row]
     focal = intrinsics[[0, 1], [0, 1]]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.landmark_model import JAW_DEGREES, FaceModel, FaceMotion
 from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, project, projection_slopes, robust_weights
 
@@ -120,7 +120,7 @@ def fit_motion(
 
     prior = np.concatenate((expected.spreads**-2, np.full(JAW_DEGREES, expected.jaw_spread**-2)))
     mean = np.concatenate((expected.coefficients, expected.jaw), axis=1)
-    found = np.concatenate(list(in_order(fit, range(0, len(mean), CHUNK))))
+    found = np.concatenate(list(ordered_map(fit, range(0, len(mean), CHUNK))))
     return FaceMotion(found[:, :-JAW_DEGREES], found[:, -JAW_DEGREES:])
 
 

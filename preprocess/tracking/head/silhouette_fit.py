@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
 from preprocess.tracking.geometry.rigid import spread_evenly
 from preprocess.tracking.geometry.surface_extension import SurfaceExtension
@@ -83,7 +83,7 @@ def fit_outline(
         current = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
         total, hits = np.zeros_like(template), np.zeros(len(template))
         pulled = partial(_pulls, (current, outer), tracking, outlines.scale)
-        for rows, pulls in in_order(pulled, zip(outlines.rows.tolist(), depths, strict=True)):
+        for rows, pulls in ordered_map(pulled, zip(outlines.rows.tolist(), depths, strict=True)):
             total[rows] += pulls
             hits[rows] += 1
         wanted = np.clip(total / np.maximum(hits, 1)[:, None], -LARGEST_STEP, LARGEST_STEP)
@@ -174,4 +174,4 @@ def outline_overlap(head: HeadModel, tracking: Tracking, outlines: Outlines) -> 
         pixels, distances = project(vertices, intrinsics, tracking.world_to_camera[row])
         return overlap(silhouette(pixels, distances, head.faces.numpy(), mask.shape[::-1]), mask > 127)
 
-    return float(np.mean(list(in_order(score, zip(outlines.rows.tolist(), outlines.masks, strict=True)))))
+    return float(np.mean(list(ordered_map(score, zip(outlines.rows.tolist(), outlines.masks, strict=True)))))

@@ -1,8 +1,8 @@
-"""Landmarks that hide a share of every nod, and how large a share other evidence says it is.
+"""Estimates and corrects the landmark network's under-reported head pitch.
 
-The landmark network under-reports head pitch (docs/experiments/2026-11-29-skin-patch-depths-and-nod-bias.md). The
-share is constant over a clip, so it can be learnt from what does not hide nods; landmarks then keep what they are good at: every other turn, and
-what changes from frame to frame.
+The landmark network shows a nodding head as if it nodded less. The share is constant over a clip, so it can be
+estimated from cues that do not share the bias; landmarks then keep what they measure well: every other rotation, and
+what changes from frame to frame. Measured in docs/experiments/2026-11-29-skin-patch-depths-and-nod-bias.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Head poses for which the skin keeps its look.
+"""Pose cue: photometric consistency of facial skin.
 
-The landmark network hides a part of every nod: its points slide over the skin
-(docs/experiments/2026-11-29-skin-texture-pose-cue.md). The skin's own texture does not. Spots all over the rigid part of the face are compared with how they look in the clip as a whole.
+The landmark network's points slide over the skin when the head nods; the skin's own texture does not. Patches all over
+the rigid part of the face are compared with their average appearance over the clip. Measured in
+docs/experiments/2026-11-29-skin-texture-pose-cue.md.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import Delaunay
 
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.geometry.landmark_topology import LOWER_LIP_MARGIN, UPPER_LIP_MARGIN, lids, rigidity
 from preprocess.tracking.geometry.rigid import (
@@ -172,7 +173,7 @@ class SkinEvidence:
     ) -> tuple[np.ndarray, ...]:
         """What a function of a few frames says of many, by several threads."""
         chunks = [frames[first : first + CHUNK] for first in range(0, len(frames), CHUNK)]
-        parts = in_order(partial(function, poses), chunks)
+        parts = ordered_map(partial(function, poses), chunks)
         return tuple(np.concatenate(part) for part in zip(*parts, strict=True))
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
-from ggavatar.io.ordered_map import in_order
+from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.projection import posed_vertices, project
 from preprocess.tracking.geometry.rigid import Lens, Poses
 from preprocess.tracking.geometry.smoothing import penalty, smooth
@@ -128,7 +128,7 @@ def followed_torso(
     depth = np.where(hung < 0.01, head.template[:, 2].numpy(), -np.inf)
     front = np.flatnonzero(depth > depth.max() - FACE_DEPTH)
     tracker, texture, distances, faces = TorsoTracker(), [], [], []
-    pictures = in_order(lambda row: (images[row], masks[row]), range(len(tracking.intrinsics)))
+    pictures = ordered_map(lambda row: (images[row], masks[row]), range(len(tracking.intrinsics)))
     for row, (image, mask) in enumerate(pictures):
         face = posed_vertices(head, tracking, row)[front]
         pixels, _ = project(face, tracking.intrinsics[row], tracking.world_to_camera[row])

@@ -16,7 +16,7 @@ from evaluate.rendering.standalone_file import extent, open_alone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
-from ggavatar.formats.source_options import Source
+from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.stored_gaussians import stored
 from ggavatar.formats.unbinding import unbind
 from ggavatar.geometry.triangles import triangle_frames
@@ -123,7 +123,7 @@ def test_front_camera_sees_the_face_upright(tmp_path: Path) -> None:
         torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
     )
     write_gaussian_ply(tmp_path / "balls.ply", stored(balls))
-    file = open_alone(tmp_path / "balls.ply", Source(), "cpu", "reference")
+    file = open_alone(tmp_path / "balls.ply", GaussianFileOptions(), "cpu", "reference")
     drive, view, center = file.front()
     assert float(center.abs().max()) < 0.01 and extent(balls)[1] == pytest.approx(0.096 + 0.04, abs=1e-3)
     image = rasterize(file.avatar.gaussians(drive), view.resized(64, 64), torch.zeros(3)).image

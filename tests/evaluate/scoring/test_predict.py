@@ -15,7 +15,7 @@ from evaluate.protocols.protocol import named
 from evaluate.scoring.ground_truth import Truth
 from evaluate.scoring.predict import Job, job_of, predict_frames
 from ggavatar.errors import InputError
-from ggavatar.io.images import read_grey, read_rgb
+from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.training.run_folder import Run
 from tests.support.toy_run import HEIGHT, WIDTH, toy_run
 
@@ -47,7 +47,7 @@ def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) ->
     image, mask = run.capture.image(12).astype(float), run.capture.mask(12)[..., None] / 255
     truth = read_rgb(tmp_path / "out/ground_truth/000012.png")
     assert np.abs(truth - (image * mask + 255 * (1 - mask))).max() <= 0.5 + 1e-4
-    assert np.array_equal(read_grey(tmp_path / "out/masks/000012.png"), run.capture.mask(12))
+    assert np.array_equal(read_gray(tmp_path / "out/masks/000012.png"), run.capture.mask(12))
     assert summary["complete"] and summary["frames"] == [10, 12, 15] and summary["gaussians"] == {"median": 2, "max": 2}
     assert summary["timing"]["frames"] == 2 and summary["timing"]["fps"] > 0
     assert json.loads((tmp_path / "out/predict.json").read_text()) == summary
@@ -58,7 +58,7 @@ def test_background_size_and_binary_mask(run: Run, tmp_path: Path) -> None:
     predict_frames(run, job(11, truth=truth), tmp_path / "out")
     assert read_rgb(tmp_path / "out/predictions/000011.png").shape == (HEIGHT * 2, WIDTH * 2, 3)
     assert read_rgb(tmp_path / "out/predictions/000011.png")[0, 0].tolist() == [0, 0, 0]
-    assert set(np.unique(read_grey(tmp_path / "out/masks/000011.png")[:, ::2])) <= {0, 64, 191, 255}
+    assert set(np.unique(read_gray(tmp_path / "out/masks/000011.png")[:, ::2])) <= {0, 64, 191, 255}
     with pytest.raises(InputError, match="distorted"):
         predict_frames(run, job(11, truth=Truth((1.0, 1.0, 1.0), (64, 64))), tmp_path / "other")
 

@@ -16,7 +16,7 @@ from evaluate.scoring import run as run_evaluation
 from evaluate.scoring.region_masks import frame_regions, write_region_masks
 from evaluate.scoring.run import evaluate_run, fitted
 from ggavatar.errors import InputError
-from ggavatar.io.images import read_grey, read_rgb, write_png
+from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.training.run_folder import Run
 from tests.support.toy_run import HEIGHT, WIDTH, head, toy_run
 
@@ -127,8 +127,8 @@ def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monke
     write_png(tmp_path / "masks" / f"{number:06d}.png", person)
     drawn = write_region_masks(run, tmp_path, [number], ["foreground", "face", "mouth", "eyes", "hair"])
     assert drawn == ["face", "hair", "mouth"]
-    mouth = read_grey(tmp_path / "regions" / "mouth" / f"{number:06d}.png")
-    face = read_grey(tmp_path / "regions" / "face" / f"{number:06d}.png")
+    mouth = read_gray(tmp_path / "regions" / "mouth" / f"{number:06d}.png")
+    face = read_gray(tmp_path / "regions" / "face" / f"{number:06d}.png")
     direct = frame_regions(model, run.reader.drive(number), run.reader.camera(number), person)
     np.testing.assert_array_equal(face, direct["face"])
     assert 0 < (mouth > 0).sum() < (face > 0).sum() < face.size

@@ -17,7 +17,7 @@ from evaluate.protocols.protocol import Protocol, named
 from evaluate.protocols.results import read_results, write_results
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
-from evaluate.scoring.score import in_order, learned_metrics, score
+from evaluate.scoring.score import learned_metrics, ordered_map, score
 from ggavatar.errors import InputError
 from tests.support.image_pairs import pair, write, write_folders
 
@@ -183,7 +183,7 @@ def test_results_come_in_order_with_few_in_flight() -> None:
         time.sleep(0.001 * (number % 3))
         return number
 
-    for taken, number in enumerate(in_order(slow, range(60), 3)):
+    for taken, number in enumerate(ordered_map(slow, range(60), 3)):
         assert number == taken
         with lock:
             assert len(started) <= taken + 1 + 2 * 3 + 1
@@ -198,6 +198,6 @@ def test_an_error_in_a_worker_ends_the_iteration() -> None:
 
     seen = []
     with pytest.raises(InputError, match="five"):
-        for number in in_order(fail, range(1000), 2):
+        for number in ordered_map(fail, range(1000), 2):
             seen.append(number)
     assert seen == [0, 1, 2, 3, 4]

@@ -17,7 +17,7 @@ from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.output_folder import appearing_folder
 from ggavatar.formats.poses import neutral_pose
-from ggavatar.formats.source_options import Source
+from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.stored_gaussians import activated
 from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import open_run
@@ -43,7 +43,7 @@ def export(*arguments: object) -> int:
 def drawn(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
     """A frame by the run and by a file of it."""
     run = open_run(run_folder)
-    file = open_imported_run(path, Source(capture=run.capture.folder))
+    file = open_imported_run(path, GaussianFileOptions(capture=run.capture.folder))
     drive, camera = run.reader.drive(number), run.reader.camera(number)
     with torch.no_grad():
         pictures = [one.rasterize(one.avatar.gaussians(drive), camera, run.background).image for one in (run, file)]

@@ -15,7 +15,7 @@ from ggavatar.data.capture import Capture, Tracking
 from ggavatar.data.splits import Split, split_frames
 from ggavatar.errors import InputError
 from ggavatar.io import atomic, images, npz
-from ggavatar.io.images import picture_header, read_grey, read_rgb, write_png
+from ggavatar.io.images import image_header, read_gray, read_rgb, write_png
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
 
 NUMBERS = (3, 4, 7, 9)
@@ -339,7 +339,7 @@ def test_huge_pictures_are_refused_before_decoding(tmp_path):
     data[16:24] = (1 << 16).to_bytes(4, "big") * 2
     path.write_bytes(data)
     with pytest.raises(InputError, match="65536×65536"):
-        read_grey(path)
+        read_gray(path)
 
 
 def test_pictures_of_other_kinds(tmp_path):
@@ -348,11 +348,11 @@ def test_pictures_of_other_kinds(tmp_path):
 
     deep = np.full((4, 6), 65535 // 2, np.uint16)
     cv2.imwrite(str(tmp_path / "deep.png"), deep)
-    assert abs(int(read_grey(tmp_path / "deep.png")[0, 0]) - 127) <= 1
+    assert abs(int(read_gray(tmp_path / "deep.png")[0, 0]) - 127) <= 1
     cut = np.zeros((4, 6, 4), np.uint8)
     cut[..., 3] = 77
     cv2.imwrite(str(tmp_path / "cut.png"), cut)
-    assert (read_grey(tmp_path / "cut.png") == 77).all() and read_rgb(tmp_path / "cut.png").shape == (4, 6, 3)
+    assert (read_gray(tmp_path / "cut.png") == 77).all() and read_rgb(tmp_path / "cut.png").shape == (4, 6, 3)
     images.write_jpeg(tmp_path / "p.jpg", np.full((10, 20, 3), 90, np.uint8))
-    assert picture_header(tmp_path / "p.jpg")[:2] == (20, 10)
+    assert image_header(tmp_path / "p.jpg")[:2] == (20, 10)
     assert abs(int(read_rgb(tmp_path / "p.jpg")[5, 5, 0]) - 90) <= 2

@@ -17,7 +17,7 @@ from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, LOWER_LIP,
 from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
 from ggavatar.formats.imported_run import open_imported_run
-from ggavatar.formats.source_options import Source
+from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.stored_gaussians import activated, stored
 from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.gaussians.binding import bind_in_torch
@@ -66,7 +66,7 @@ def bound_file(folder: Path, capture: Capture) -> tuple[Path, Gaussians]:
 def test_bound_file_gives_back_the_world(toy_capture: Capture, tmp_path: Path) -> None:
     path, gaussians = bound_file(tmp_path, toy_capture)
     head = load_head(toy_capture.head_path)
-    avatar = open_gaussians(path, Source(), toy_capture)
+    avatar = open_gaussians(path, GaussianFileOptions(), toy_capture)
     assert isinstance(avatar, BoundAvatar)
     found = avatar.gaussians(head.neutral_drive())
     torch.testing.assert_close(found.means, gaussians.means, atol=1e-6, rtol=0)
@@ -78,13 +78,13 @@ def test_bound_file_gives_back_the_world(toy_capture: Capture, tmp_path: Path) -
 
 def test_run_of_a_file_follows_the_capture(toy_capture: Capture, tmp_path: Path) -> None:
     path, _ = bound_file(tmp_path, toy_capture)
-    run = open_imported_run(path, Source(capture=toy_capture.folder))
+    run = open_imported_run(path, GaussianFileOptions(capture=toy_capture.folder))
     assert run.folder == tmp_path / "point_cloud" and not run.folder.exists()
     assert run.split == toy_capture.splits["every-20th"] and run.step == 0
     first, last = (run.avatar.gaussians(run.reader.drive(toy_capture.frames[row])).means for row in (0, -1))
     assert float((first - last).abs().max()) > 1e-3, "the mouth moves"
     with pytest.raises(InputError, match="--capture DIR"):
-        open_imported_run(path, Source())
+        open_imported_run(path, GaussianFileOptions())
 
 
 def parameters(capture: Capture, shift: float = 0.0) -> FlameParameters:
@@ -100,8 +100,8 @@ def parameters(capture: Capture, shift: float = 0.0) -> FlameParameters:
 def test_parameters_beside_the_file_pose_its_frames(toy_capture: Capture, tmp_path: Path) -> None:
     path, _ = bound_file(tmp_path, toy_capture)
     write_flame_parameters(tmp_path / "flame_param.npz", parameters(toy_capture, 0.5), 50)
-    own = open_imported_run(path, Source(capture=toy_capture.folder))
-    theirs = open_imported_run(path, Source(capture=toy_capture.folder, head_model=toy_capture.head_path))
+    own = open_imported_run(path, GaussianFileOptions(capture=toy_capture.folder))
+    theirs = open_imported_run(path, GaussianFileOptions(capture=toy_capture.folder, head_model=toy_capture.head_path))
     for number in toy_capture.frames[::6]:
         drive = own.reader.drive(number)
         shift = theirs.avatar.gaussians(drive).means - own.avatar.gaussians(drive).means
@@ -114,27 +114,27 @@ def test_parameters_beside_the_file_pose_its_frames(toy_capture: Capture, tmp_pa
     )
     write_flame_parameters(tmp_path / "flame_param.npz", short, 50)
     with pytest.raises(InputError, match="5 timesteps"):
-        open_imported_run(path, Source(capture=toy_capture.folder, head_model=toy_capture.head_path))
+        open_imported_run(path, GaussianFileOptions(capture=toy_capture.folder, head_model=toy_capture.head_path))
 
 
 def test_what_a_bound_file_needs_is_said(toy_capture: Capture, tmp_path: Path) -> None:
     path, _ = bound_file(tmp_path, toy_capture)
     with pytest.raises(InputError, match="--head-model FILE"):
-        open_gaussians(path, Source())
+        open_gaussians(path, GaussianFileOptions())
     with pytest.raises(InputError, match="found none"):
-        open_gaussians(path, Source(head_model=tmp_path / "no.pkl"))
+        open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "no.pkl"))
     rows = read_gaussian_ply(path)
     assert rows.faces is not None
     write_gaussian_ply(tmp_path / "far.ply", dataclasses.replace(rows, faces=rows.faces + 5000))
     with pytest.raises(InputError, match="expected a head of at least"):
-        open_gaussians(tmp_path / "far.ply", Source(), toy_capture)
+        open_gaussians(tmp_path / "far.ply", GaussianFileOptions(), toy_capture)
     head = load_head(toy_capture.head_path)
     save_head(dataclasses.replace(head, version="egg-2"), tmp_path / "other.npz")
     with pytest.raises(InputError, match="mean different things"):
-        open_gaussians(path, Source(head_model=tmp_path / "other.npz"), toy_capture)
+        open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "other.npz"), toy_capture)
     write_gaussian_ply(tmp_path / "plain.ply", stored(cloud()))
     with pytest.raises(InputError, match="bound to no head"):
-        open_gaussians(tmp_path / "plain.ply", Source(head_model=tmp_path / "other.npz"))
+        open_gaussians(tmp_path / "plain.ply", GaussianFileOptions(head_model=tmp_path / "other.npz"))
 
 
 @pytest.mark.parametrize("value", [-1.0, 0.5, 2.0**25])
@@ -255,7 +255,7 @@ def test_flame_file_with_teeth_offset_and_identity(tmp_path: Path) -> None:
     write_flame_parameters(tmp_path / "flame_param.npz", zero, FLAME_VERTICES)
     rows = dataclasses.replace(stored(cloud()), faces=np.full(60, 10143))
     write_gaussian_ply(tmp_path / "point_cloud.ply", rows)
-    avatar = open_gaussians(tmp_path / "point_cloud.ply", Source(head_model=tmp_path / "flame2023.npz"))
+    avatar = open_gaussians(tmp_path / "point_cloud.ply", GaussianFileOptions(head_model=tmp_path / "flame2023.npz"))
     assert isinstance(avatar, BoundAvatar)
     expected = mean.template.numpy() + basis[:, :, :3] @ shape + 0.002
     np.testing.assert_allclose(avatar.head.template[:FLAME_VERTICES], expected, atol=1e-6)

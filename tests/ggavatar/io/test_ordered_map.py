@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from ggavatar.io.ordered_map import AHEAD, cores, in_order
+from ggavatar.io.ordered_map import AHEAD, cores, ordered_map
 
 
 def test_results_keep_their_order_whoever_is_first() -> None:
@@ -15,8 +15,8 @@ def test_results_keep_their_order_whoever_is_first() -> None:
         time.sleep(0.003 if number % 2 == 0 else 0.0)
         return number * number
 
-    assert list(in_order(slow_when_even, range(40))) == [number * number for number in range(40)]
-    assert list(in_order(str, [])) == []
+    assert list(ordered_map(slow_when_even, range(40))) == [number * number for number in range(40)]
+    assert list(ordered_map(str, [])) == []
 
 
 def test_only_a_few_items_are_taken_ahead() -> None:
@@ -27,7 +27,7 @@ def test_only_a_few_items_are_taken_ahead() -> None:
             taken.append(number)
             yield number
 
-    results = in_order(lambda number: number, endless())
+    results = ordered_map(lambda number: number, endless())
     assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
     results.close()
     assert 5 <= len(taken) <= 5 + cores() + AHEAD
@@ -39,7 +39,7 @@ def test_an_error_comes_at_its_items_place_and_threads_end() -> None:
             raise ValueError("three")
         return number
 
-    before, results = threading.active_count(), in_order(picky, range(1000))
+    before, results = threading.active_count(), ordered_map(picky, range(1000))
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="three"):
         next(results)

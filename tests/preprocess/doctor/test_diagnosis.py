@@ -15,7 +15,7 @@ import pytest
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.io.images import picture_header, write_png
+from ggavatar.io.images import image_header, write_png
 from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main as prep
 from preprocess.doctor.convention_test import rather_late
@@ -183,7 +183,7 @@ def test_jitter_is_noticed(capture, head):
 def test_report_and_preview_are_written(folder, capsys):
     report = json.loads((folder / "doctor.json").read_text())
     assert report["schema"] == "ggavatar-doctor" and report["healthy"] is True
-    header = picture_header(folder / "preview.jpg")
+    header = image_header(folder / "preview.jpg")
     assert (header.width, header.height) == (8 * 256, 3 * 256)
     assert doctor([str(folder), "--strict"]) == 0
     assert "doctor: healthy" in capsys.readouterr().out

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.io.images import read_grey, read_rgb, write_jpeg, write_png
+from ggavatar.io.images import read_gray, read_rgb, write_jpeg, write_png
 from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npz
 from preprocess.formats.registry import importer, importer_names
@@ -42,7 +42,7 @@ def test_pictures(tmp_path, suffix):
     path = tmp_path / f"mutant{suffix}"
     picture = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
     write_png(path, picture) if suffix == ".png" else write_jpeg(path, picture)
-    for read in (read_rgb, read_grey):
+    for read in (read_rgb, read_gray):
         assert survive(path, path.read_bytes(), lambda read=read: read(path), 3) > 0
         write_png(path, picture) if suffix == ".png" else write_jpeg(path, picture)
 

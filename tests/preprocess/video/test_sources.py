@@ -11,7 +11,7 @@ import pytest
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from preprocess.video.decoding import Video
-from preprocess.video.image_folder import PictureFolder
+from preprocess.video.image_folder import ImageFolder
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source
 from tests.support.synthetic_clip import write_video
@@ -281,13 +281,13 @@ def test_picture_folders(tmp_path):
     for number, picture in enumerate(numbered(12), start=1):
         write_png(tmp_path / f"{number}.png", picture)
     (tmp_path / "notes.txt").write_text("x")
-    folder = PictureFolder(tmp_path, 10.0)
+    folder = ImageFolder(tmp_path, 10.0)
     numbers, times, decoded = seen(folder)
     assert numbers == list(range(1, 13)) and decoded == list(range(12)), "by number, not by spelling"
     assert times[-1] == pytest.approx(1.1)
     write_png(tmp_path / "13.png", numbered(1, 32, 32)[0])
     with pytest.raises(InputError, match=r"13\.png: expected 64×48 px"):
-        seen(PictureFolder(tmp_path, 10.0))
+        seen(ImageFolder(tmp_path, 10.0))
 
 
 def test_nothing_there(tmp_path):
