@@ -13,20 +13,20 @@ from ggavatar.landmarks.average_face import drawn_face
 from ggavatar.landmarks.networks import FaceFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.options import PrepOptions
-from preprocess.tracking.face.clip_fit import Clip
+from preprocess.tracking.face.clip_fit import ClipLandmarks
 from preprocess.tracking.geometry.landmark_topology import (
     LEFT_IRIS,
     LOWER_LIP_MARGIN,
     RIGHT_IRIS,
     UPPER_LIP_MARGIN,
-    anchoring,
+    surface_stability,
 )
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.tracking.head.silhouette_fit import Outlines
-from preprocess.tracking.observations import Watched
-from preprocess.tracking.pose.outline_cue import WIDTH, Edges, reduced_distances
-from preprocess.tracking.pose.texture_images import SkinPictures, skin_picture
-from preprocess.tracking.torso.torso import TorsoMotions
+from preprocess.tracking.head.silhouette_fit import OutlineMasks
+from preprocess.tracking.observations import Observations
+from preprocess.tracking.pose.outline_cue import WIDTH, OutlineDistances, signed_distances
+from preprocess.tracking.pose.texture_images import SkinImages, skin_image
+from preprocess.tracking.torso.torso import TorsoImageMotions
 from preprocess.tracking.tracker import track_landmarks
 from tests.support.freckled_face import freckled
 
@@ -48,13 +48,13 @@ def test_drawn_face_is_a_face_in_our_axes() -> None:
 
 
 def test_the_edge_of_the_face_is_trusted_least() -> None:
-    trust = anchoring(drawn_face())
+    trust = surface_stability(drawn_face())
     assert trust[[1, 6, 168, 33, 263]].min() > 0.9 and trust[[234, 454]] == pytest.approx(0.1)
     assert (np.diff(trust[np.argsort(np.abs(drawn_face().vertices[:, 0]))]) <= 1e-12).all()
 
 
-def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
-    """A head that turns and opens its mouth: what would be watched, its rotations and its jaw."""
+def performed(generic: GenericHead) -> tuple[Observations, np.ndarray, np.ndarray]:
+    """A head that turns and opens its mouth: what would be observations, its rotations and its jaw."""
     time = np.arange(FRAMES) / 25
     rotations = (
         Rotation.from_euler("x", 180, degrees=True)
@@ -71,13 +71,13 @@ def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
     pixels = FOCAL * seen[..., :2] / seen[..., 2:] + SIZE / 2
     pictures = freckled(rest, pixels[:, :468], SIZE, np.ones(FRAMES))
     pixels += np.random.default_rng(0).normal(0, NOISE, pixels.shape)
-    clip = Clip(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
+    clip = ClipLandmarks(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
     masks = [silhouette(generic, rotation) for rotation in rotations]
-    edges = Edges(np.stack([reduced_distances(mask) for mask in masks]), WIDTH / SIZE)
-    outlines = Outlines(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
-    skin = SkinPictures.of([skin_picture(*seen) for seen in zip(pictures, pixels, strict=True)])
-    motions = TorsoMotions([None] * FRAMES, [None] * FRAMES)
-    return Watched(clip, motions, outlines, edges, skin), rotations, jaw
+    edges = OutlineDistances(np.stack([signed_distances(mask) for mask in masks]), WIDTH / SIZE)
+    outlines = OutlineMasks(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
+    skin = SkinImages.of([skin_image(*seen) for seen in zip(pictures, pixels, strict=True)])
+    motions = TorsoImageMotions([None] * FRAMES, [None] * FRAMES)
+    return Observations(clip, motions, outlines, edges, skin), rotations, jaw
 
 
 def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
@@ -98,8 +98,8 @@ def test_what_hangs_on_the_generic_heads_root_hangs_on_the_torso(generic: Generi
 
 
 def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
-    watched, rotations, jaw = performed(generic)
-    found = track_landmarks(watched, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
+    observations, rotations, jaw = performed(generic)
+    found = track_landmarks(observations, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
     turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
     apart = np.degrees((turned * turned.mean().inv()).magnitude())
     assert np.median(apart) < 1.0
@@ -108,7 +108,7 @@ def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHe
     assert "mediapipe" in found.report["networks"]
     assert found.head.landmark_weights is not None and len(found.head.regions["landmarks"]) == 3 * 468
     gap = np.linalg.norm(
-        watched.clip.points[:, UPPER_LIP_MARGIN[5]] - watched.clip.points[:, LOWER_LIP_MARGIN[5]], axis=1
+        observations.clip.points[:, UPPER_LIP_MARGIN[5]] - observations.clip.points[:, LOWER_LIP_MARGIN[5]], axis=1
     )
     assert np.corrcoef(gap, jaw)[0, 1] > 0.95
     assert np.corrcoef(found.tracking.joint_rotations[:, JOINT_NAMES.index("jaw"), 0], jaw)[0, 1] > 0.9

@@ -16,8 +16,8 @@ from ggavatar.head.flame import load_flame
 from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis
 from preprocess.doctor.quality import landmark_error
 from preprocess.options import TrackingOptions
-from preprocess.tracking.face.clip_fit import Clip, FoundCamera
-from preprocess.tracking.face.expression_basis import Camera
+from preprocess.tracking.face.clip_fit import CameraEstimate, ClipLandmarks
+from preprocess.tracking.face.expression_basis import PosedCamera
 from preprocess.tracking.face.flame_fit import (
     EMBEDDING_FILE,
     FlameLandmarks,
@@ -27,7 +27,7 @@ from preprocess.tracking.face.flame_fit import (
 )
 from preprocess.tracking.flame_tracker import track_flame
 from preprocess.tracking.geometry.landmark_model import FaceModel
-from preprocess.tracking.geometry.rigid import Lens, Poses, project
+from preprocess.tracking.geometry.rigid import PinholeIntrinsics, RigidPoses, project_to_pixels
 
 EXPRESSIONS = 44
 FRAMES = 24
@@ -57,11 +57,11 @@ class Truth:
     """What the projected landmarks were made from."""
 
     model: FaceModel
-    camera: Camera
+    camera: PosedCamera
     jaw: np.ndarray
 
 
-def projected(flame: FlameLandmarks) -> tuple[Clip, Truth]:
+def projected(flame: FlameLandmarks) -> tuple[ClipLandmarks, Truth]:
     """Landmarks of a person who turns, speaks and opens the mouth, with noise of 0.2 px."""
     generator = np.random.default_rng(3)
     identity = np.zeros(flame.shapes.shape[2])
@@ -74,12 +74,12 @@ def projected(flame: FlameLandmarks) -> tuple[Clip, Truth]:
     facing = Rotation.from_euler("x", 180, degrees=True)
     rotations = (facing * Rotation.from_euler("xyz", angles, degrees=True)).as_matrix()
     translations = np.column_stack((generator.normal(0, 0.03, (FRAMES, 2)), generator.uniform(0.7, 0.9, FRAMES)))
-    lens, poses = Lens(900.0, (256.0, 256.0)), Poses(rotations, translations)
+    intrinsics, poses = PinholeIntrinsics(900.0, (256.0, 256.0)), RigidPoses(rotations, translations)
     points = np.zeros((FRAMES, 478, 2))
-    points[:, :468] = project(poses.to_camera(truth.shapes(coefficients, jaw)), lens)
+    points[:, :468] = project_to_pixels(poses.to_camera(truth.shapes(coefficients, jaw)), intrinsics)
     points[:, :468] += generator.normal(0, 0.2, (FRAMES, 468, 2))
-    clip = Clip(points, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (512, 512), 25.0)
-    return clip, Truth(truth, Camera(lens, poses), jaw)
+    clip = ClipLandmarks(points, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (512, 512), 25.0)
+    return clip, Truth(truth, PosedCamera(intrinsics, poses), jaw)
 
 
 def test_recovers_identity_pose_and_jaw(flame_file: Path, stand_in) -> None:
@@ -87,7 +87,7 @@ def test_recovers_identity_pose_and_jaw(flame_file: Path, stand_in) -> None:
     flame = flame_landmarks(load_flame(flame_file, expressions=10_000), embedding, EXPRESSIONS)
     clip, truth = projected(flame)
     rotations, neutral = truth.camera.poses.rotations, truth.model.neutral
-    found = FoundCamera(truth.camera, neutral, np.tile(neutral, (FRAMES, 1, 1)), 0.0, 170.0, 0.0)
+    found = CameraEstimate(truth.camera, neutral, np.tile(neutral, (FRAMES, 1, 1)), 0.0, 170.0, 0.0)
 
     fit = fit_flame(clip, flame, face, found)
 
@@ -107,7 +107,7 @@ def test_embedding_of_another_topology_is_refused(flame_file: Path, tmp_path: Pa
 
 
 def test_a_head_that_is_not_flame_is_refused(tmp_path: Path, stand_in) -> None:
-    clip = Clip(np.zeros((9, 478, 2)), np.zeros((9, 52)), np.ones(9, bool), (64, 64), 25.0)
+    clip = ClipLandmarks(np.zeros((9, 478, 2)), np.zeros((9, 52)), np.ones(9, bool), (64, 64), 25.0)
     with pytest.raises(InputError, match="expected a FLAME model"):
         track_flame(clip, stand_in[0], tmp_path / "nothing.npz", TrackingOptions())
 

@@ -13,22 +13,22 @@ from scipy.spatial.transform import Rotation
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
-from preprocess.tracking.face.gaze import IRIS_SHARE, centered_eyes, conjugate, eye_turns
+from preprocess.tracking.face.gaze import IRIS_DEPTH_RATIO, centered_eyeballs, conjugate_gaze, eye_rotations
 from preprocess.tracking.geometry.landmark_embedding import boundary_loops, closest_points
-from preprocess.tracking.geometry.rigid import Lens, Poses
+from preprocess.tracking.geometry.rigid import PinholeIntrinsics, RigidPoses
 from preprocess.tracking.geometry.surface_extension import SurfaceExtension
-from preprocess.tracking.head.personal_head import similarity
+from preprocess.tracking.head.personal_head import similarity_transform
 from preprocess.tracking.torso.texture import TorsoTracker
 from preprocess.tracking.torso.torso import (
-    STRETCHED,
-    TorsoMotions,
-    TorsoPivots,
-    followed_torso,
+    MAXIMUM_NECK_STRETCH,
+    NeckJoints,
+    TorsoImageMotions,
     neck_motion,
     torso_poses,
+    track_torso,
 )
 
-LENS = Lens(1000.0, (256.0, 256.0))
+INTRINSICS = PinholeIntrinsics(1000.0, (256.0, 256.0))
 FACING = Rotation.from_euler("x", 180, degrees=True)
 
 
@@ -74,7 +74,7 @@ def test_similarity_is_recovered() -> None:
     generator = np.random.default_rng(0)
     source = generator.normal(size=(20, 3))
     turn = Rotation.random(random_state=1).as_matrix()
-    scale, rotation, shift = similarity(source, 1.7 * source @ turn.T + [1, 2, 3])
+    scale, rotation, shift = similarity_transform(source, 1.7 * source @ turn.T + [1, 2, 3])
     assert scale == pytest.approx(1.7)
     np.testing.assert_allclose(rotation, turn, atol=1e-9)
     np.testing.assert_allclose(shift, [1, 2, 3], atol=1e-9)
@@ -82,30 +82,30 @@ def test_similarity_is_recovered() -> None:
 
 def test_gaze_is_read_from_the_irises() -> None:
     eyes, radius = np.array([[0.031, 0.025, 0.028], [-0.031, 0.025, 0.028]]), 0.012
-    poses = Poses(
+    poses = RigidPoses(
         (FACING * Rotation.from_euler("y", [[0], [15]], degrees=True)).as_matrix(), np.array([[0.0, 0, 0.8]] * 2)
     )
     true = np.array([[[0.1, 0.2, 0], [0.1, 0.15, 0]], [[-0.2, 0.3, 0], [-0.2, 0.25, 0]]])
     irises = np.zeros((2, 2, 2))
     for frame in range(2):
         looks = Rotation.from_rotvec(true[frame]).apply([0.0, 0.0, 1.0])
-        seen = poses.to_camera((eyes + IRIS_SHARE * radius * looks)[None])[frame]
-        irises[frame] = LENS.focal * seen[:, :2] / seen[:, 2:] + 256
-    found = eye_turns(irises, LENS, poses, eyes, radius)
+        seen = poses.to_camera((eyes + IRIS_DEPTH_RATIO * radius * looks)[None])[frame]
+        irises[frame] = INTRINSICS.focal * seen[:, :2] / seen[:, 2:] + 256
+    found = eye_rotations(irises, INTRINSICS, poses, eyes, radius)
     np.testing.assert_allclose(found, true, atol=0.01)
 
 
 def test_eyes_are_moved_until_they_look_at_the_camera() -> None:
     eyes, radius = np.array([[0.031, 0.0, 0.0], [-0.031, 0.0, 0.0]]), 0.012
-    poses = Poses(np.tile(FACING.as_matrix(), (5, 1, 1)), np.tile([0.0, 0.0, 0.8], (5, 1)))
+    poses = RigidPoses(np.tile(FACING.as_matrix(), (5, 1, 1)), np.tile([0.0, 0.0, 0.8], (5, 1)))
     true = eyes + np.array([[0.002, 0.001, 0.0], [-0.002, 0.001, 0.0]])
     looks = np.array([0, 0, 0.8]) - true
     looks /= np.linalg.norm(looks, axis=1, keepdims=True)
-    seen = poses.to_camera((true + IRIS_SHARE * radius * looks)[None])
-    irises = LENS.focal * seen[..., :2] / seen[..., 2:] + 256
-    moved = centered_eyes(eye_turns(irises, LENS, poses, eyes, radius), poses, eyes, radius)
+    seen = poses.to_camera((true + IRIS_DEPTH_RATIO * radius * looks)[None])
+    irises = INTRINSICS.focal * seen[..., :2] / seen[..., 2:] + 256
+    moved = centered_eyeballs(eye_rotations(irises, INTRINSICS, poses, eyes, radius), poses, eyes, radius)
     np.testing.assert_allclose(moved, true, atol=2e-4)
-    turns = eye_turns(irises, LENS, poses, moved, radius)
+    turns = eye_rotations(irises, INTRINSICS, poses, moved, radius)
     np.testing.assert_allclose(turns[:, 0, 1] - turns[:, 1, 1], -0.066 / 0.8, atol=np.radians(0.5))
 
 
@@ -117,10 +117,10 @@ def test_yoked_eyes_are_surer_than_each_alone_and_blinks_are_bridged() -> None:
     visible = np.ones(200)
     visible[90:95] = 0
     noisy[90:95, :, 0] -= 0.6
-    found = conjugate(noisy, visible, 25.0, True)
+    found = conjugate_gaze(noisy, visible, 25.0, True)
     assert np.abs(found - true).max() < 0.12 and np.sqrt(((found - true) ** 2).mean()) < 0.02
     np.testing.assert_array_equal(found[:, 0, 0], found[:, 1, 0])
-    np.testing.assert_allclose(conjugate(true, visible, 25.0, False), true, atol=1e-12)
+    np.testing.assert_allclose(conjugate_gaze(true, visible, 25.0, False), true, atol=1e-12)
 
 
 def cloth(shift: tuple[float, float]) -> np.ndarray:
@@ -156,17 +156,17 @@ def still_head(count: int) -> tuple[HeadModel, Tracking]:
     views[:, :3, :3], views[:, :3, 3] = FACING.as_matrix(), [0.0, -0.12, 0.9]
     joints = np.zeros((count, len(head.parents), 3))
     expression = np.zeros((count, head.expression_basis.shape[2]))
-    lens = np.tile(LENS.matrix(), (count, 1, 1))
-    return head, Tracking(lens, views, expression, joints, np.zeros((count, 2)), np.zeros((count, 3)))
+    intrinsics = np.tile(INTRINSICS.matrix(), (count, 1, 1))
+    return head, Tracking(intrinsics, views, expression, joints, np.zeros((count, 2)), np.zeros((count, 3)))
 
 
 def test_the_torso_is_followed_beside_another_trackers_head() -> None:
     shifts = np.array([[6.0 * np.sin(0.15 * k), 3.0 * np.cos(0.1 * k)] for k in range(40)])
     head, tracking = still_head(len(shifts))
     images, masks = [cloth((x, y)) for x, y in shifts], [np.full((512, 512), 255, np.uint8)] * len(shifts)
-    found = followed_torso(head, tracking, images, masks, 25.0)
+    found = track_torso(head, tracking, images, masks, 25.0)
     assert found is not None
-    moved = (found[:, :2, 3] - found[:, :2, 3].mean(axis=0)) * LENS.focal / 0.9
+    moved = (found[:, :2, 3] - found[:, :2, 3].mean(axis=0)) * INTRINSICS.focal / 0.9
     np.testing.assert_allclose(moved, shifts - shifts.mean(axis=0), atol=0.5)
     np.testing.assert_allclose(np.median(found[:, :3, 3], axis=0), [0.0, -0.12, 0.9], atol=0.002)
 
@@ -174,21 +174,21 @@ def test_the_torso_is_followed_beside_another_trackers_head() -> None:
 def test_no_torso_is_made_up_where_nothing_can_be_followed_or_the_tracker_turns_the_neck() -> None:
     head, tracking = still_head(6)
     grey, masks = [np.full((512, 512, 3), 90, np.uint8)] * 6, [np.full((512, 512), 255, np.uint8)] * 6
-    assert followed_torso(head, tracking, grey, masks, 25.0) is None
+    assert track_torso(head, tracking, grey, masks, 25.0) is None
     turned = tracking.joint_rotations.copy()
     turned[:, head.joint("neck"), 0] = 0.1
     textured = [cloth((0.0, 0.0))] * 6
-    assert followed_torso(head, dataclasses.replace(tracking, joint_rotations=turned), textured, masks, 25.0) is None
-    assert followed_torso(head, tracking, textured, masks, 25.0) is not None
+    assert track_torso(head, dataclasses.replace(tracking, joint_rotations=turned), textured, masks, 25.0) is None
+    assert track_torso(head, tracking, textured, masks, 25.0) is not None
 
 
 def test_neck_motion_puts_a_resting_torso_back_in_the_room() -> None:
-    """The head nods, shifts and comes nearer; skinned by the two joints, the torso stays where it was."""
-    pivots = TorsoPivots(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
-    rest = Poses(np.tile(FACING.as_matrix(), (6, 1, 1)), np.tile([0.0, 0.0, 1.0], (6, 1)))
+    """The head pitch_angles, shifts and comes nearer; skinned by the two joints, the torso stays where it was."""
+    pivots = NeckJoints(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
+    rest = RigidPoses(np.tile(FACING.as_matrix(), (6, 1, 1)), np.tile([0.0, 0.0, 1.0], (6, 1)))
     nod = Rotation.from_euler("x", np.linspace(-6, 6, 6)[:, None], degrees=True)
     shift = np.linspace((-0.01, 0.01, 0.0), (0.01, -0.01, 0.01), 6)
-    head = Poses((FACING * nod).as_matrix(), rest.translations + shift)
+    head = RigidPoses((FACING * nod).as_matrix(), rest.translations + shift)
     neck = neck_motion(rest, head, pivots)
     arm, point = pivots.lower - pivots.upper, np.array([0.1, -0.3, -0.02])
     stretched = neck.stretch[:, None] * arm / np.linalg.norm(arm)
@@ -200,19 +200,19 @@ def test_neck_motion_puts_a_resting_torso_back_in_the_room() -> None:
 
 
 def test_a_torso_that_drifted_away_does_not_stretch_the_neck_for_ever() -> None:
-    pivots = TorsoPivots(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
-    head = Poses(np.tile(FACING.as_matrix(), (3, 1, 1)), np.tile([0.0, 0.0, 1.0], (3, 1)))
-    lost = Poses(head.rotations, head.translations + np.array([[0, 0.0, 0], [0, 0.5, 0], [0, -0.05, 0]]))
-    np.testing.assert_allclose(neck_motion(lost, head, pivots).stretch, [0.0, STRETCHED, -STRETCHED], atol=1e-6)
+    pivots = NeckJoints(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
+    head = RigidPoses(np.tile(FACING.as_matrix(), (3, 1, 1)), np.tile([0.0, 0.0, 1.0], (3, 1)))
+    lost = RigidPoses(head.rotations, head.translations + np.array([[0, 0.0, 0], [0, 0.5, 0], [0, -0.05, 0]]))
+    np.testing.assert_allclose(neck_motion(lost, head, pivots).stretch, [0.0, MAXIMUM_NECK_STRETCH, -MAXIMUM_NECK_STRETCH], atol=1e-6)
 
 
 def test_a_torso_never_seen_rests_in_the_room() -> None:
     _, head = (
         np.zeros(1),
-        Poses(
+        RigidPoses(
             (FACING * Rotation.from_euler("y", np.linspace(-20, 20, 9)[:, None], degrees=True)).as_matrix(),
             np.tile([0.0, 0, 1], (9, 1)),
         ),
     )
-    torso = torso_poses(TorsoMotions([None] * 9, [None] * 9), head, np.zeros(3), LENS, 25.0)
+    torso = torso_poses(TorsoImageMotions([None] * 9, [None] * 9), head, np.zeros(3), INTRINSICS, 25.0)
     np.testing.assert_allclose(torso.rotations, np.tile(FACING.as_matrix(), (9, 1, 1)), atol=1e-6)

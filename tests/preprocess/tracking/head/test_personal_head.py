@@ -15,8 +15,8 @@ from preprocess.tracking.geometry import landmark_topology as topology
 from preprocess.tracking.geometry.projection import posed_vertices, project, silhouette
 from preprocess.tracking.head.expression_axes import AXES
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.tracking.head.personal_head import NECK_UNIT, PersonalShape, assemble, fit_shape, lid_axes
-from preprocess.tracking.head.silhouette_fit import Outlines, fit_outline, outline_overlap
+from preprocess.tracking.head.personal_head import NECK_UNIT, PersonalShape, assemble_head, fit_shape, lid_axes
+from preprocess.tracking.head.silhouette_fit import OutlineMasks, fit_silhouette, silhouette_overlap
 
 pytestmark = pytest.mark.weights
 
@@ -39,7 +39,7 @@ def neutral(generic: GenericHead) -> np.ndarray:
 def person(generic: GenericHead, neutral: np.ndarray) -> tuple[HeadModel, PersonalShape]:
     shape = fit_shape(generic, neutral)
     named = (generic.landmarks @ generic.axes.reshape(len(generic.vertices), -1)).reshape(468, 3, -1)
-    return assemble(generic, shape, named, np.zeros((468, 3, 2)), lid_axes(neutral, shape)), shape
+    return assemble_head(generic, shape, named, np.zeros((468, 3, 2)), lid_axes(neutral, shape)), shape
 
 
 def test_landmarks_lie_on_the_generic_face_where_the_canonical_ones_do(generic: GenericHead, canonical) -> None:
@@ -128,10 +128,10 @@ def test_outline_follows_the_masks_and_the_face_stays(generic: GenericHead, pers
         vertices = posed_vertices(dataclasses.replace(head, template=hairy), tracking, int(row))
         pixels, depths = project(vertices, intrinsics[row], pose[row])
         masks.append(silhouette(pixels, depths, generic.faces, (size, size)).astype(np.uint8) * 255)
-    outlines = Outlines(rows, np.stack(masks), 1.0)
-    template = fit_outline(head, generic, tracking, outlines)
+    outlines = OutlineMasks(rows, np.stack(masks), 1.0)
+    template = fit_silhouette(head, generic, tracking, outlines)
     fitted = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
-    before, after = outline_overlap(head, tracking, outlines), outline_overlap(fitted, tracking, outlines)
+    before, after = silhouette_overlap(head, tracking, outlines), silhouette_overlap(fitted, tracking, outlines)
     assert 1 - after < 0.5 * (1 - before)
     face = generic.regions["face"]
     assert np.median(np.linalg.norm(template[face] - head.template.numpy()[face], axis=1)) < 0.002

@@ -6,10 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from preprocess.tracking.geometry.rigid import Lens, Poses
-from preprocess.tracking.pose.outline_cue import Edges, reduced_distances
+from preprocess.tracking.geometry.rigid import PinholeIntrinsics, RigidPoses
+from preprocess.tracking.pose.outline_cue import OutlineDistances, signed_distances
 from preprocess.tracking.torso.outline import outline_motions
-from preprocess.tracking.torso.torso import CHEST, TURNED, TorsoMotions, torso_motions, torso_poses
+from preprocess.tracking.torso.torso import (
+    CHEST_DEPTH,
+    MAXIMUM_TORSO_ROTATION,
+    TorsoImageMotions,
+    torso_image_motions,
+    torso_poses,
+)
 
 SIZE, FPS, FRAMES = 512, 25.0, 60
 FACES = np.tile([120.0, 330.0], (FRAMES, 1))
@@ -28,7 +34,7 @@ BODY = np.array(
     ]
 )
 MIDDLE = np.array([256.0, 400.0])
-LENS = Lens(1200.0, (256.0, 256.0))
+INTRINSICS = PinholeIntrinsics(1200.0, (256.0, 256.0))
 
 
 def similarity(shift: tuple[float, float], roll: float = 0.0, size: float = 1.0) -> np.ndarray:
@@ -44,16 +50,16 @@ def truth() -> np.ndarray:
     return np.stack([similarity((x, y), roll) for x, y, roll in ways])
 
 
-def drawn(motions: np.ndarray) -> Edges:
-    """Outlines of a head that rests and of a body that moves."""
+def drawn(motions: np.ndarray) -> OutlineDistances:
+    """OutlineMasks of a head that rests and of a body that moves."""
     distances = []
     for motion in motions:
         mask = np.zeros((SIZE, SIZE), np.uint8)
         body = BODY @ motion[:2, :2].T + motion[:2, 2]
         cv2.fillPoly(mask, [np.round(body * 16).astype(np.int32)], 255, shift=4)
         cv2.ellipse(mask, (256, 220), (75, 110), 0, 0, 360, 255, -1)
-        distances.append(reduced_distances(mask))
-    return Edges(np.stack(distances), 128 / SIZE)
+        distances.append(signed_distances(mask))
+    return OutlineDistances(np.stack(distances), 128 / SIZE)
 
 
 def misplaced(found: list[np.ndarray | None], motions: np.ndarray) -> np.ndarray:
@@ -89,14 +95,14 @@ def test_texture_fills_in_what_the_outline_does_not_tell() -> None:
     mask = np.zeros((SIZE, SIZE), np.uint8)
     mask[400:] = 255
     moved = [np.roll(mask, round(motion[1, 2]), axis=0) for motion in motions]
-    edges = Edges(np.stack([reduced_distances(here) for here in moved]), 128 / SIZE)
+    edges = OutlineDistances(np.stack([signed_distances(here) for here in moved]), 128 / SIZE)
     error = misplaced(outline_motions(list(motions), edges, FACES, FPS), motions)
     assert np.abs(error[:, 0]).max() < 0.3
 
 
 def test_without_an_outline_below_the_chin_texture_stands() -> None:
     motions = list(truth())
-    nothing = Edges(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
+    nothing = OutlineDistances(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
     found = outline_motions([None, *motions[1:]], nothing, FACES, FPS)
     assert found[0] is None and all(
         np.array_equal(here, motion) for here, motion in zip(found[1:], motions[1:], strict=True)
@@ -107,12 +113,12 @@ def test_without_an_outline_below_the_chin_texture_stands() -> None:
 def test_a_chest_that_moves_otherwise_than_the_shoulders_is_a_turn(axis: int, angle: float) -> None:
     """Head at rest, 1 m away: a chest in front of the shoulders' axis moves by its turn, the outline by nothing."""
     facing = np.tile(np.diag([1.0, -1.0, -1.0]), (FRAMES, 1, 1))
-    head, pivot = Poses(facing, np.tile([0.0, 0.0, 1.0], (FRAMES, 1))), np.array([0.0, -0.15, 0.0])
+    head, pivot = RigidPoses(facing, np.tile([0.0, 0.0, 1.0], (FRAMES, 1))), np.array([0.0, -0.15, 0.0])
     angles = angle * np.sin(np.arange(FRAMES) / FRAMES * 2 * np.pi)
     moves = np.zeros((FRAMES, 2))
-    moves[:, 1 - axis] = (angles if axis == 0 else -angles) * CHEST * LENS.focal
+    moves[:, 1 - axis] = (angles if axis == 0 else -angles) * CHEST_DEPTH * INTRINSICS.focal
     texture = [similarity((float(x), float(y))) for x, y in moves]
-    found = torso_poses(TorsoMotions(texture, [np.eye(3)] * FRAMES), head, pivot, LENS, FPS)
+    found = torso_poses(TorsoImageMotions(texture, [np.eye(3)] * FRAMES), head, pivot, INTRINSICS, FPS)
     turns = found.rotations @ facing.transpose(0, 2, 1)
     told = np.stack((turns[:, 2, 1], turns[:, 0, 2]))[axis]
     np.testing.assert_allclose(told - np.median(told), angles - np.median(angles), atol=5e-3)
@@ -122,24 +128,24 @@ def test_a_chest_that_moves_otherwise_than_the_shoulders_is_a_turn(axis: int, an
 
 def test_a_chest_that_was_lost_does_not_turn_the_torso_round() -> None:
     facing = np.tile(np.diag([1.0, -1.0, -1.0]), (9, 1, 1))
-    head = Poses(facing, np.tile([0.0, 0.0, 1.0], (9, 1)))
+    head = RigidPoses(facing, np.tile([0.0, 0.0, 1.0], (9, 1)))
     lost = [similarity((200.0 * (k > 6), 0.0)) for k in range(9)]
-    found = torso_poses(TorsoMotions(lost, [np.eye(3)] * 9), head, np.array([0.0, -0.15, 0.0]), LENS, FPS)
+    found = torso_poses(TorsoImageMotions(lost, [np.eye(3)] * 9), head, np.array([0.0, -0.15, 0.0]), INTRINSICS, FPS)
     angles = np.arccos((np.trace(found.rotations @ facing.transpose(0, 2, 1), axis1=1, axis2=2) - 1) / 2)
-    assert angles.max() <= 1.3 * TURNED
+    assert angles.max() <= 1.3 * MAXIMUM_TORSO_ROTATION
 
 
 def test_frames_without_texture_do_not_turn_the_torso() -> None:
     """Chest and shoulders stand 10 px apart wherever the chest was followed: no turn, and none where it was not."""
     facing = np.tile(np.diag([1.0, -1.0, -1.0]), (9, 1, 1))
-    head = Poses(facing, np.tile([0.0, 0.0, 1.0], (9, 1)))
+    head = RigidPoses(facing, np.tile([0.0, 0.0, 1.0], (9, 1)))
     texture = [None if k < 4 else similarity((10.0, 5.0)) for k in range(9)]
-    found = torso_poses(TorsoMotions(texture, [np.eye(3)] * 9), head, np.array([0.0, -0.15, 0.0]), LENS, FPS)
+    found = torso_poses(TorsoImageMotions(texture, [np.eye(3)] * 9), head, np.array([0.0, -0.15, 0.0]), INTRINSICS, FPS)
     np.testing.assert_allclose(found.rotations, facing, atol=1e-9)
 
 
 def test_texture_alone_is_used_for_both_where_there_is_no_outline() -> None:
     motions = list(truth())
-    nothing = Edges(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
-    both = torso_motions(motions, nothing, [(120.0, 330.0)] * FRAMES, FPS)
+    nothing = OutlineDistances(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
+    both = torso_image_motions(motions, nothing, [(120.0, 330.0)] * FRAMES, FPS)
     assert both.believed and all(a is b for a, b in zip(both.outline, motions, strict=True))
