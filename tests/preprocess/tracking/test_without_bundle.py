@@ -24,7 +24,7 @@ from preprocess.tracking.geometry.landmark_topology import (
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.tracking.head.silhouette_fit import OutlineMasks
 from preprocess.tracking.observations import Observations
-from preprocess.tracking.pose.outline_cue import WIDTH, OutlineDistances, signed_distances
+from preprocess.tracking.pose.outline_cue import MASK_WIDTH, OutlineDistances, signed_distances
 from preprocess.tracking.pose.texture_images import SkinImages, skin_image
 from preprocess.tracking.torso.torso import TorsoImageMotions
 from preprocess.tracking.tracker import track_landmarks
@@ -73,9 +73,11 @@ def performed(generic: GenericHead) -> tuple[Observations, np.ndarray, np.ndarra
     pixels += np.random.default_rng(0).normal(0, NOISE, pixels.shape)
     clip = ClipLandmarks(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
     masks = [silhouette(generic, rotation) for rotation in rotations]
-    edges = OutlineDistances(np.stack([signed_distances(mask) for mask in masks]), WIDTH / SIZE)
-    outlines = OutlineMasks(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
-    skin = SkinImages.of([skin_image(*seen) for seen in zip(pictures, pixels, strict=True)])
+    edges = OutlineDistances(np.stack([signed_distances(mask) for mask in masks]), MASK_WIDTH / SIZE)
+    outlines = OutlineMasks(
+        np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE
+    )
+    skin = SkinImages.stack([skin_image(*seen) for seen in zip(pictures, pixels, strict=True)])
     motions = TorsoImageMotions([None] * FRAMES, [None] * FRAMES)
     return Observations(clip, motions, outlines, edges, skin), rotations, jaw
 

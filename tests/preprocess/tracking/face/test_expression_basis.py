@@ -40,7 +40,9 @@ def made_up() -> tuple[FaceModel, FaceMotion, PosedCamera, LandmarkObservations]
     )
     angles = generator.uniform(-1, 1, (FRAMES, 3)) * [10, 25, 5]
     turns = Rotation.from_euler("x", 180, degrees=True) * Rotation.from_euler("xyz", angles, degrees=True)
-    camera = PosedCamera(PinholeIntrinsics(1000.0, (256.0, 256.0)), RigidPoses(turns.as_matrix(), np.tile([0.0, 0.0, 0.9], (FRAMES, 1))))
+    camera = PosedCamera(
+        PinholeIntrinsics(1000.0, (256.0, 256.0)), RigidPoses(turns.as_matrix(), np.tile([0.0, 0.0, 0.9], (FRAMES, 1)))
+    )
     points = project_to_pixels(camera.poses.to_camera(model.shapes(motion.coefficients, motion.jaw)), camera.intrinsics)
     return model, motion, camera, LandmarkObservations(points, np.full((FRAMES, POINTS), 1.0))
 
@@ -101,10 +103,12 @@ def test_axes_are_mended_and_given_ones_kept() -> None:
     start = FaceModel(model.neutral, model.axes + spoiled, model.jaw_weights, model.jaw_pivot)
     found = refine_axes(observed, camera, start, motion, np.array([1.0, 1.0, 0.0]))
     missed = (
-        project_to_pixels(camera.poses.to_camera(found.shapes(motion.coefficients, motion.jaw)), camera.intrinsics) - observed.points
+        project_to_pixels(camera.poses.to_camera(found.shapes(motion.coefficients, motion.jaw)), camera.intrinsics)
+        - observed.points
     )
     before = (
-        project_to_pixels(camera.poses.to_camera(start.shapes(motion.coefficients, motion.jaw)), camera.intrinsics) - observed.points
+        project_to_pixels(camera.poses.to_camera(start.shapes(motion.coefficients, motion.jaw)), camera.intrinsics)
+        - observed.points
     )
     assert np.abs(missed).mean() < 0.1 * np.abs(before).mean()
     np.testing.assert_array_equal(found.axes[..., 2], start.axes[..., 2])

@@ -203,7 +203,9 @@ def test_a_torso_that_drifted_away_does_not_stretch_the_neck_for_ever() -> None:
     pivots = NeckJoints(np.array([0.0, -0.08, -0.03]), np.array([0.0, -0.15, -0.045]))
     head = RigidPoses(np.tile(FACING.as_matrix(), (3, 1, 1)), np.tile([0.0, 0.0, 1.0], (3, 1)))
     lost = RigidPoses(head.rotations, head.translations + np.array([[0, 0.0, 0], [0, 0.5, 0], [0, -0.05, 0]]))
-    np.testing.assert_allclose(neck_motion(lost, head, pivots).stretch, [0.0, MAXIMUM_NECK_STRETCH, -MAXIMUM_NECK_STRETCH], atol=1e-6)
+    np.testing.assert_allclose(
+        neck_motion(lost, head, pivots).stretch, [0.0, MAXIMUM_NECK_STRETCH, -MAXIMUM_NECK_STRETCH], atol=1e-6
+    )
 
 
 def test_a_torso_never_seen_rests_in_the_room() -> None:

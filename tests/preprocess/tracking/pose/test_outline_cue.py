@@ -70,14 +70,12 @@ def misled(truth: RigidPoses, degrees: np.ndarray) -> tuple[RigidPoses, np.ndarr
 
 
 def errors(poses: RigidPoses, truth: RigidPoses) -> np.ndarray:
-    """Degrees."""
+    """Rotation errors, degrees."""
     apart = Rotation.from_matrix(poses.rotations @ truth.rotations.transpose(0, 2, 1))
     return np.degrees(apart.magnitude())
 
 
-def evidence_of(
-    masks: list[np.ndarray], landmarks: np.ndarray, shapes: np.ndarray
-) -> tuple[OutlineCue, LandmarkCue]:
+def cues_of(masks: list[np.ndarray], landmarks: np.ndarray, shapes: np.ndarray) -> tuple[OutlineCue, LandmarkCue]:
     distances = np.stack([signed_distances(mask) for mask in masks])
     seen = effective_observations(LandmarkObservations(landmarks, np.ones(landmarks.shape[:2])), 190.0)
     outline = OutlineCue(OutlineDistances(distances, distances.shape[2] / SIZE), SCALP, INTRINSICS, 190.0)
@@ -87,9 +85,9 @@ def evidence_of(
 def test_distance_to_a_straight_edge_is_read_in_pixels_of_the_image() -> None:
     mask = np.zeros((SIZE, SIZE), np.uint8)
     mask[:, 200:] = 255
-    edges = OutlineDistances(signed_distances(mask)[None], 128 / SIZE)
+    outline = OutlineDistances(signed_distances(mask)[None], 128 / SIZE)
     places = np.array([[[180.0, 250.0], [200.0, 100.0], [230.0, 300.0], [-5.0, 20.0], [500.0, 250.0]]])
-    found, known = sample_distances(edges, slice(0, 1), places)
+    found, known = sample_distances(outline, slice(0, 1), places)
     np.testing.assert_allclose(found[0, :3], [-20.0, 0.0, 30.0], atol=0.6)
     np.testing.assert_array_equal(known[0], [True, True, True, False, False])
 
@@ -105,30 +103,30 @@ def test_the_outline_is_the_farthest_vertex_in_every_direction() -> None:
 
 
 @pytest.mark.parametrize("degrees", [4.0, -3.0])
-def test_landmarks_misled_by_a_grimace_are_set_right_by_the_outline(degrees: float) -> None:
+def test_the_outline_corrects_landmarks_biased_by_an_expression(degrees: float) -> None:
     truth = true_poses()
     wrong, landmarks, shapes = misled(truth, np.full(FRAMES, degrees))
-    evidence = evidence_of([drawn_mask(truth, k) for k in range(FRAMES)], landmarks, shapes)
-    found = fuse_poses(evidence, wrong, 0.0)
+    cues = cues_of([drawn_mask(truth, k) for k in range(FRAMES)], landmarks, shapes)
+    found = fuse_poses(cues, wrong, 0.0)
     assert np.allclose(errors(wrong, truth), abs(degrees), atol=1e-6)
     assert errors(found, truth).max() < 0.5 * abs(degrees)
-    outline, _ = evidence
-    assert np.median(outline.distances(found)) < 0.5 * np.median(outline.distances(wrong))
+    outline, _ = cues
+    assert np.median(outline.rms_distances(found)) < 0.5 * np.median(outline.rms_distances(wrong))
 
 
-def test_true_poses_stay_and_a_bow_in_the_hair_turns_no_head() -> None:
+def test_true_poses_stay_and_a_bow_in_the_hair_rotates_no_head() -> None:
     truth = true_poses()
     right, landmarks, shapes = misled(truth, np.zeros(FRAMES))
     masks = [drawn_mask(truth, k) for k in range(FRAMES)]
     for mask in masks[::2]:
         cv2.circle(mask, (230, 70), 45, 255, -1)
-    found = fuse_poses(evidence_of(masks, landmarks, shapes), right, 0.0)
+    found = fuse_poses(cues_of(masks, landmarks, shapes), right, 0.0)
     assert errors(found, truth).max() < 1.0
 
 
-def test_without_an_outline_landmarks_have_their_way() -> None:
+def test_without_an_outline_landmarks_decide() -> None:
     truth = true_poses()
     wrong, landmarks, shapes = misled(truth, np.full(FRAMES, 3.0))
     blank = [np.full((SIZE, SIZE), 255, np.uint8)] * FRAMES
-    found = fuse_poses(evidence_of(blank, landmarks, shapes), wrong, 0.0)
+    found = fuse_poses(cues_of(blank, landmarks, shapes), wrong, 0.0)
     assert errors(found, wrong).max() < 1e-3

@@ -1,4 +1,4 @@
-"""The shoulders' motion read off a drawn outline that is known, with and without texture to start from."""
+"""Motion of the shoulders from a drawn outline with known motion, with and without texture."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ def test_texture_fills_in_what_the_outline_does_not_tell() -> None:
     mask = np.zeros((SIZE, SIZE), np.uint8)
     mask[400:] = 255
     moved = [np.roll(mask, round(motion[1, 2]), axis=0) for motion in motions]
-    edges = OutlineDistances(np.stack([signed_distances(here) for here in moved]), 128 / SIZE)
-    error = misplaced(outline_motions(list(motions), edges, FACES, FPS), motions)
+    outline = OutlineDistances(np.stack([signed_distances(here) for here in moved]), 128 / SIZE)
+    error = misplaced(outline_motions(list(motions), outline, FACES, FPS), motions)
     assert np.abs(error[:, 0]).max() < 0.3
 
 
@@ -148,4 +148,4 @@ def test_texture_alone_is_used_for_both_where_there_is_no_outline() -> None:
     motions = list(truth())
     nothing = OutlineDistances(np.full((FRAMES, 128, 128), 127, np.int8), 128 / SIZE)
     both = torso_image_motions(motions, nothing, [(120.0, 330.0)] * FRAMES, FPS)
-    assert both.believed and all(a is b for a, b in zip(both.outline, motions, strict=True))
+    assert both.reliable and all(a is b for a, b in zip(both.outline, motions, strict=True))
