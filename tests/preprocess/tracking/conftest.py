@@ -1,4 +1,4 @@
-"""The canonical face where it is at hand, and a stand-in that needs no model file."""
+"""The canonical face where it is available, and a substitute that needs no model file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def canonical(bundle: Path) -> CanonicalFace:
 
 @pytest.fixture(scope="session")
 def stand_in() -> tuple[CanonicalFace, LandmarkEmbedding]:
-    """468 vertices of the procedural head's face in place of a canonical face, and where they are on it."""
+    """468 vertices of the procedural head's face as a canonical face, and their embedding."""
     head = procedural_head()
     points = head.template.numpy().astype(np.float64)
     rows = head.regions["face"].numpy()

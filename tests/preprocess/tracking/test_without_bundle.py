@@ -47,14 +47,14 @@ def test_drawn_face_is_a_face_in_our_axes() -> None:
     assert points[10, 1] > points[1, 1] > points[13, 1] > points[152, 1]
 
 
-def test_the_edge_of_the_face_is_trusted_least() -> None:
+def test_the_edge_of_the_face_is_least_stable() -> None:
     trust = surface_stability(drawn_face())
     assert trust[[1, 6, 168, 33, 263]].min() > 0.9 and trust[[234, 454]] == pytest.approx(0.1)
     assert (np.diff(trust[np.argsort(np.abs(drawn_face().vertices[:, 0]))]) <= 1e-12).all()
 
 
 def performed(generic: GenericHead) -> tuple[Observations, np.ndarray, np.ndarray]:
-    """A head that turns and opens its mouth: what would be observations, its rotations and its jaw."""
+    """Observations of a head that rotates and opens its mouth, its rotations and its jaw."""
     time = np.arange(FRAMES) / 25
     rotations = (
         Rotation.from_euler("x", 180, degrees=True)
@@ -83,7 +83,7 @@ def performed(generic: GenericHead) -> tuple[Observations, np.ndarray, np.ndarra
 
 
 def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
-    """Mask of the turned head, without its torso."""
+    """Mask of the rotated head without its torso."""
     seen = generic.vertices[generic.weights[:, 0] < 0.01] @ rotation.T + [0.0, 0.02, 1.05]
     pixels = FOCAL * seen[:, :2] / seen[:, 2:] + SIZE / 2
     mask = np.zeros((SIZE, SIZE), np.uint8)
@@ -91,7 +91,7 @@ def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
     return mask
 
 
-def test_what_hangs_on_the_generic_heads_root_hangs_on_the_torso(generic: GenericHead) -> None:
+def test_the_torso_joint_replaces_the_root(generic: GenericHead) -> None:
     own, torso = generic.head.skinning_weights.numpy(), JOINT_NAMES.index("torso")
     np.testing.assert_allclose(generic.weights[: len(own), torso], own[:, 0], atol=1e-6)
     np.testing.assert_allclose(generic.weights.sum(axis=1), 1.0, atol=1e-6)
@@ -99,7 +99,7 @@ def test_what_hangs_on_the_generic_heads_root_hangs_on_the_torso(generic: Generi
     assert not generic.weights[:, [0, JOINT_NAMES.index("cervical")]].any()
 
 
-def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
+def test_poses_jaw_and_landmarks_are_recovered_without_scores(generic: GenericHead, tmp_path: Path) -> None:
     observations, rotations, jaw = performed(generic)
     found = track_landmarks(observations, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
     turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
@@ -117,8 +117,8 @@ def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHe
 
 
 @pytest.mark.weights
-def test_the_wheels_networks_see_the_portrait(models_folder: Path) -> None:
-    """On scikit-image's astronaut, against positions read off the picture."""
+def test_the_wheels_networks_find_the_portraits_eyes(models_folder: Path) -> None:
+    """On scikit-image's astronaut, against positions read off the image."""
     from skimage.data import astronaut
 
     names = ("face_detection_short_range.tflite", "face_landmark.tflite", "iris_landmark.tflite")

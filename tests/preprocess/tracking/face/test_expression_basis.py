@@ -1,4 +1,4 @@
-"""Regression and principal axes against numpy's; coefficients and axes against those that made the landmarks."""
+"""Regression and principal axes against numpy; coefficients and axes against those that generated the landmarks."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from preprocess.tracking.tracker import rescaled_blinks
 FRAMES, POINTS, COUNT = 90, 40, 3
 
 
-def made_up() -> tuple[FaceModel, FaceMotion, PosedCamera, LandmarkObservations]:
-    """A small face that moves and turns, and its landmarks."""
+def synthetic() -> tuple[FaceModel, FaceMotion, PosedCamera, LandmarkObservations]:
+    """A small face that moves and rotates, and its landmarks."""
     generator = np.random.default_rng(5)
     neutral = generator.uniform([-0.07, -0.09, 0.0], [0.07, 0.09, 0.07], (POINTS, 3))
     share = np.where(neutral[:, 1] < -0.02, 1.0, 0.0)
@@ -58,7 +58,7 @@ def test_regression_without_ridge_is_least_squares() -> None:
 
 @pytest.mark.parametrize("frames", [60, 3])
 def test_principal_axes_are_the_singular_vectors(frames: int) -> None:
-    """As long as their coefficients deviate; without frames enough, what is left of the axes is zero."""
+    """Scaled to unit variance of their coefficients; axes beyond the number of frames are zero."""
     residuals = np.random.default_rng(1).normal(size=(frames, 5, 3)) * np.linspace(3, 0.1, 5)[:, None]
     axes, share = principal_axes(residuals, 4)
     _, values, vectors = np.linalg.svd(residuals.reshape(frames, -1), full_matrices=False)
@@ -71,7 +71,7 @@ def test_principal_axes_are_the_singular_vectors(frames: int) -> None:
 
 
 def test_displacements_across_the_view_are_recovered() -> None:
-    model, _, camera, _ = made_up()
+    model, _, camera, _ = synthetic()
     still = model.shapes(np.zeros((FRAMES, COUNT)), np.zeros((FRAMES, 2)))
     across = np.array([0.001, -0.002, 0.0]) @ camera.poses.rotations
     points = project_to_pixels(camera.poses.to_camera(still + across[:, None]), camera.intrinsics)
@@ -79,10 +79,10 @@ def test_displacements_across_the_view_are_recovered() -> None:
     np.testing.assert_allclose(found, np.broadcast_to(across[:, None], found.shape), atol=1e-8)
 
 
-def test_coefficients_and_jaw_are_read_back() -> None:
-    model, motion, camera, observed = made_up()
-    blind = MotionPrior(np.zeros((FRAMES, COUNT)), np.full(COUNT, 3.0), np.zeros((FRAMES, 2)))
-    found = fit_motion(observed, camera, model, blind, iterations=6)
+def test_coefficients_and_jaw_are_recovered() -> None:
+    model, motion, camera, observed = synthetic()
+    weak_prior = MotionPrior(np.zeros((FRAMES, COUNT)), np.full(COUNT, 3.0), np.zeros((FRAMES, 2)))
+    found = fit_motion(observed, camera, model, weak_prior, iterations=6)
     np.testing.assert_allclose(found.coefficients, motion.coefficients, atol=0.02)
     np.testing.assert_allclose(found.jaw, motion.jaw, atol=0.01)
 
@@ -96,8 +96,8 @@ def test_normal_equations_by_one_product_are_those_landmark_by_landmark() -> Non
     np.testing.assert_allclose(symmetric_from_upper(packed @ column_products(columns), 5), expected, atol=1e-12)
 
 
-def test_axes_are_mended_and_given_ones_kept() -> None:
-    model, motion, camera, observed = made_up()
+def test_axes_are_refined_and_fixed_ones_kept() -> None:
+    model, motion, camera, observed = synthetic()
     spoiled = np.random.default_rng(2).normal(0, 0.001, model.axes.shape)
     spoiled[..., 2] = 0
     start = FaceModel(model.neutral, model.axes + spoiled, model.jaw_weights, model.jaw_pivot)
@@ -114,7 +114,7 @@ def test_axes_are_mended_and_given_ones_kept() -> None:
     np.testing.assert_array_equal(found.axes[..., 2], start.axes[..., 2])
 
 
-def test_named_axes_know_their_generic_expressions() -> None:
+def test_named_axes_map_to_generic_expressions() -> None:
     names, _ = procedural_names()
     mixture = generic_mixture()
     assert mixture.shape == (len(names), len(AXES)) and len(AXES) == 37
@@ -126,7 +126,7 @@ def test_named_axes_know_their_generic_expressions() -> None:
     assert axis_scores(scores)[0, AXES.index("noseSneerRight")] == NAMES.index("noseSneerRight")
 
 
-def test_blinks_are_stretched_to_closed_lids_and_open_eyes_left_alone() -> None:
+def test_blinks_are_rescaled_to_closed_lids_and_open_eyes_kept() -> None:
     lids = np.zeros((400, 2))
     lids[50:60] = 0.6
     scores = np.zeros((400, 52))

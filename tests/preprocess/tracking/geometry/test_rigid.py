@@ -1,4 +1,4 @@
-"""RigidPoses against the ones that made the landmarks; smoothing against its closed-form transfer function."""
+"""Poses against those that generated the landmarks; smoothing against its closed-form transfer function."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INTRINSICS = PinholeIntrinsics(1000.0, (256.0, 256.0))
 
 
 def performance(frames: int, seed: int = 0) -> tuple[np.ndarray, RigidPoses]:
-    """A rigid point cloud of a head's size and slow head motion about a metre away."""
+    """A rigid point cloud of a head's size and slow head motion about one meter away."""
     generator = np.random.default_rng(seed)
     shape = generator.uniform([-0.07, -0.09, 0.0], [0.07, 0.09, 0.07], (120, 3))
     time = np.arange(frames) / 25
@@ -39,7 +39,7 @@ def errors(found: RigidPoses, true: RigidPoses) -> np.ndarray:
     return np.degrees(Rotation.from_matrix(found.rotations.transpose(0, 2, 1) @ true.rotations).magnitude())
 
 
-def test_slopes_are_derivatives() -> None:
+def test_jacobian_against_finite_differences() -> None:
     shape, poses = performance(2)
     seen = poses.to_camera(shape[None])
     slopes = pose_jacobian(seen, poses, projection_jacobian(seen, INTRINSICS.focal))

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ggavatar.landmarks.bundle import CanonicalFace
+from preprocess.tracking.geometry.landmark_embedding import LandmarkEmbedding
 from preprocess.tracking.geometry.rigid import (
     LandmarkObservations,
     PinholeIntrinsics,
@@ -16,9 +18,11 @@ from preprocess.tracking.geometry.rigid import (
 from preprocess.tracking.pose import bundle_adjustment
 from preprocess.tracking.pose.bundle_adjustment import BundleEstimate, ShapePrior, bundle_adjust, prior_focal
 
+StandIn = tuple[CanonicalFace, LandmarkEmbedding]
+
 
 @pytest.mark.parametrize("focal", [800.0, 1300.0])
-def test_recovers_focal_length_shape_and_poses_of_a_turning_head(stand_in, focal: float) -> None:
+def test_recovers_focal_length_shape_and_poses_of_a_turning_head(stand_in: StandIn, focal: float) -> None:
     generator = np.random.default_rng(0)
     face, _ = stand_in
     prior = ShapePrior.from_canonical(face.vertices)
@@ -40,7 +44,7 @@ def test_recovers_focal_length_shape_and_poses_of_a_turning_head(stand_in, focal
     assert 0 < found.log_focal_std < bundle_adjustment.PRIOR_LOG_DISTANCE_STD
 
 
-def test_without_parallax_the_prior_decides(stand_in) -> None:
+def test_without_parallax_the_prior_decides(stand_in: StandIn) -> None:
     """A head that never rotates does not constrain the focal length; the prior's stays."""
     face, _ = stand_in
     prior = ShapePrior.from_canonical(face.vertices)

@@ -1,4 +1,4 @@
-"""RigidPoses settled between landmarks and outline, against a drawn head whose poses are known."""
+"""Poses fused from landmarks and outline, against a synthetic head with known poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RigidPoses held by the skin's texture, against a drawn face whose poses are known and landmarks that slide on it."""
+"""The texture cue and the pitch-bias correction on a synthetic face with known poses and sliding landmarks."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_the_pitch_bias_is_estimated_from_true_poses(nodding: tuple) -> None:
 
 
 def test_a_weak_cue_suffices_to_correct_the_pitch_bias(nodding: tuple) -> None:
-    """Against landmarks whose pitch_angles are taken as they are it hardly counts."""
+    """It hardly counts against landmarks without a bias model."""
     truth, reported, _, landmarks = nodding
     landmarks = replace(landmarks, observed=longer_clip(landmarks.observed))
     weak = WeakCue(truth, 0.05 * float(np.median(landmarks.information(truth)[0][:, 0, 0])))
