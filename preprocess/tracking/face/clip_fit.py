@@ -243,7 +243,7 @@ def neutral_scores(blendshapes: Float[np.ndarray, "T 52"], found: Bool[np.ndarra
 def nonrigidity(face: CanonicalFace) -> Float[np.ndarray, "468 1 1"]:
     """Share of each landmark's motion that may be expression while poses are estimated.
 
-    Without this limit, expressions would explain rotations of the head away.
+    Unlimited expressions would explain rotations of the head away.
     """
     return (1 - rigidity(face))[:, None, None]
 

@@ -29,7 +29,7 @@ MASK_WIDTH = 192
 MAXIMUM_FRAMES = 14
 """Frames whose masks are used."""
 ROUNDS = 5
-"""Gauss–Newton-like rounds: outline displacements per frame, then their smooth extension."""
+"""Alternations of outline displacements in every frame and their smooth extension."""
 OUTLINE_TOLERANCE = 2.0
 """Distance to the mesh's outline within which a vertex is on it, px."""
 MINIMUM_IN_PLANE = 0.6

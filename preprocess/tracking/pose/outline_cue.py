@@ -59,9 +59,8 @@ def signed_distances(mask: UInt8[np.ndarray, "H W"]) -> Int8[np.ndarray, "h w"]:
     height = round(mask.shape[0] * MASK_WIDTH / mask.shape[1])
     inside = (cv2.resize(mask, (MASK_WIDTH, height), interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
     signed = cv2.distanceTransform(inside, cv2.DIST_L2, 5) - cv2.distanceTransform(1 - inside, cv2.DIST_L2, 5)
-    halfway = np.clip(signed, -MAXIMUM_DISTANCE, MAXIMUM_DISTANCE) - 0.5 * np.sign(
-        signed
-    )  # the outline lies between two pixels
+    clipped = np.clip(signed, -MAXIMUM_DISTANCE, MAXIMUM_DISTANCE)
+    halfway = clipped - 0.5 * np.sign(signed)  # the outline lies between two pixels
     return np.round(DISTANCE_STEPS * halfway).astype(np.int8)
 
 

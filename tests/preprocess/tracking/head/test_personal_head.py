@@ -56,9 +56,7 @@ def test_landmarks_lie_on_the_generic_face_where_the_canonical_ones_do(
     assert np.isin(generic.embedding.corners[topology.LEFT_UPPER_LID], eyes).any(axis=1).all()
 
 
-def test_template_passes_through_the_neutral_landmarks(
-    generic: GenericHead, neutral: np.ndarray, person: Person
-) -> None:
+def test_template_passes_through_neutral_landmarks(generic: GenericHead, neutral: np.ndarray, person: Person) -> None:
     head, _ = person
     missed = np.linalg.norm(generic.landmarks @ head.template.numpy() - neutral, axis=1)
     assert np.median(missed) < 0.0005 and np.percentile(missed, 95) < 0.002
@@ -75,9 +73,7 @@ def test_joints_are_where_the_shape_says_and_no_facial_expression_moves_them(per
     assert float(moved[..., :-1].abs().max()) < 2e-4
 
 
-def test_a_longer_neck_lowers_the_torso_with_its_joint_and_nothing_of_the_head(
-    generic: GenericHead, person: Person
-) -> None:
+def test_a_longer_neck_lowers_only_the_torso_and_its_joint(generic: GenericHead, person: Person) -> None:
     head, shape = person
     arm = shape.joints[JOINT_NAMES.index("torso")] - shape.joints[JOINT_NAMES.index("cervical")]
     down = NECK_UNIT * arm / np.linalg.norm(arm)

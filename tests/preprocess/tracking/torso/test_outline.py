@@ -118,8 +118,8 @@ def test_a_chest_that_moves_against_the_shoulders_is_a_rotation(axis: int, angle
     texture = [similarity((float(x), float(y))) for x, y in moves]
     found = torso_poses(TorsoImageMotions(texture, [np.eye(3)] * FRAMES), head, pivot, INTRINSICS, FPS)
     turns = found.rotations @ facing.transpose(0, 2, 1)
-    told = np.stack((turns[:, 2, 1], turns[:, 0, 2]))[axis]
-    np.testing.assert_allclose(told - np.median(told), angles - np.median(angles), atol=5e-3)
+    angles_found = np.stack((turns[:, 2, 1], turns[:, 0, 2]))[axis]
+    np.testing.assert_allclose(angles_found - np.median(angles_found), angles - np.median(angles), atol=5e-3)
     seen = found.to_camera(pivot[None, None])[:, 0]
     np.testing.assert_allclose(seen, np.tile([0, 0.15, 1], (FRAMES, 1)), atol=1e-6)
 
