@@ -2,8 +2,8 @@
 
 `similarity_transform` is kept beside libraries: `skimage.transform.SimilarityTransform` agrees to 1e-15 but not to the
 last bit, takes twice as long (237 against 119 µs for 468 points), and has no method for all versions we support
-(`estimate` is deprecated since 0.26, `from_estimate` is missing before); `trimesh.registration.procrustes` takes the scale from the extents, which is not the
-least-squares one (7e-4 off under 2 mm of noise).
+(`estimate` is deprecated since 0.26, `from_estimate` is missing before); `trimesh.registration.procrustes` takes the
+scale from the extents, which is not the least-squares one (7e-4 off under 2 mm of noise).
 """
 
 from __future__ import annotations
