@@ -12,7 +12,7 @@ import numpy as np
 from skimage.data import astronaut
 
 from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
-from evaluate.protocols.protocol import named
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import FramePair, pair_folders
 from evaluate.scoring.score import learned_metrics, score
@@ -36,7 +36,7 @@ def write_pairs(folder: Path, count: int, size: int) -> list[FramePair]:
 
 def scoring(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> Callable[[], object] | None:
     """A call that scores all pairs; None without the weights it needs."""
-    protocol = named("folders").override(metrics=names, table_metrics=names)
+    protocol = protocol_by_name("folders").override(metrics=names, table_metrics=names)
     learned = learned_metrics(protocol, model_folders())
     if learned and learned.missing:
         return None

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from evaluate.protocols.protocol import PROTOCOLS, Protocol, named
+from evaluate.protocols.protocol import PROTOCOLS, Protocol, protocol_by_name
 from ggavatar.cli.version import answer_version
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
@@ -127,12 +127,12 @@ class Options:
     def base_protocol(self, split: str | None = None) -> Protocol:
         """The protocol by name with overrides; `auto` looks for the one whose split is the given one."""
         if self.protocol != "auto":
-            return self.override.applied(named(self.protocol))
+            return self.override.applied(protocol_by_name(self.protocol))
         if split is None:
-            return self.override.applied(named("folders"))
+            return self.override.applied(protocol_by_name("folders"))
         split = split_name(split)
         fitting = next((p for p in PROTOCOLS.values() if p.split == split and p.split != "file"), None)
-        return self.override.applied(fitting or named("paper").override(split=split))
+        return self.override.applied(fitting or protocol_by_name("paper").override(split=split))
 
 
 def parse(arguments: list[str] | None) -> Options:

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from evaluate.gates.checks import Check, to_github, write_junit
-from evaluate.gates.limits import limits_of
+from evaluate.gates.limits import read_limits
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.options import Options, parse
 from evaluate.protocols.protocol import Protocol
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _evaluate(options: Options) -> int:
     """Score everything named, write and print the tables, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
-    limits = limits_of(options.gates)
+    limits = read_limits(options.gates)
     evaluations, written = _gather(options, console)
     tables = build_tables(evaluations, options.layout, options.with_paper)
     folder = _table_folder(options)
@@ -145,14 +145,16 @@ def found_faces(options: Options, protocol: Protocol) -> FaceMetrics | None:
 
 def _visuals(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:
     """Report, comparison, video and curves of every evaluation with pictures, and comparisons of methods."""
-    from evaluate.figures.evaluation_images import Shown
+    from evaluate.figures.evaluation_images import EvaluationImages
     from evaluate.figures.write import write_studies, write_visuals
 
     if options.folders.pred and options.folders.gt:
-        pairs = [(folder, Shown(evaluations[0], options.folders.pred, options.folders.gt))]
+        pairs = [(folder, EvaluationImages(evaluations[0], options.folders.pred, options.folders.gt))]
     else:
         homes = [_home(path, found) for path, found in zip(options.runs, evaluations, strict=True)]
-        pairs = [(home, Shown.in_folder(found, home)) for home, found in zip(homes, evaluations, strict=True)]
+        pairs = [
+            (home, EvaluationImages.in_folder(found, home)) for home, found in zip(homes, evaluations, strict=True)
+        ]
         pairs = [(home, shown) for home, shown in pairs if shown.predictions.is_dir() and shown.truth.is_dir()]
     written: list[Path] = []
     for home, shown in pairs:

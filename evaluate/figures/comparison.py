@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluate.figures.comparison_layout import Sample, comparison
+from evaluate.figures.comparison_layout import ComparisonFrame, comparison
 from evaluate.scoring.frame_files import common_frames, find_frame, frame_file
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_gray, read_rgb, write_png
@@ -15,9 +15,9 @@ from ggavatar.io.images import read_gray, read_rgb, write_png
 QUANTILES = {0.1: "easy (best 10 %)", 0.5: "median", 0.95: "hard (worst 5 %)"}
 
 
-def load_sample(
+def load_comparison_frame(
     frame: int, methods: Mapping[str, Path], truth: Path, label: str = "", focus: Sequence[Path] = ()
-) -> Sample:
+) -> ComparisonFrame:
     """Read one frame of every method, and the union of its masks in the folders of `focus` that have it.
 
     Raises:
@@ -30,7 +30,7 @@ def load_sample(
             raise InputError(f"{methods[name]}: expected frame {frame} of {_size(image)} px, found {_size(render)}")
     masks = [read_gray(path) for folder in focus if (path := frame_file(folder, frame)).is_file()]
     union = np.maximum.reduce(masks) if masks else None
-    return Sample(label or f"frame {frame}", image, renders, union)
+    return ComparisonFrame(label or f"frame {frame}", image, renders, union)
 
 
 def _size(image: np.ndarray) -> str:
@@ -44,13 +44,13 @@ def typical_frames(methods: Mapping[str, Path], truth: Path) -> dict[int, str]:
         A description by frame number, from the easiest; fewer where there are fewer frames.
     """
     frames = common_frames([truth, *methods.values()])
-    means = [_mean_error(load_sample(frame, methods, truth)) for frame in frames]
+    means = [_mean_error(load_comparison_frame(frame, methods, truth)) for frame in frames]
     order = np.argsort(means, kind="stable")
     chosen = {frames[order[round(quantile * (len(frames) - 1))]]: text for quantile, text in QUANTILES.items()}
     return {frame: f"frame {frame}: {text}" for frame, text in chosen.items()}
 
 
-def _mean_error(sample: Sample) -> float:
+def _mean_error(sample: ComparisonFrame) -> float:
     return float(np.mean([error.mean() for error in sample.errors().values()]))
 
 
@@ -76,6 +76,6 @@ def write_comparison(
         The frames shown.
     """
     labels = {frame: f"frame {frame}" for frame in frames} if frames else typical_frames(methods, truth)
-    samples = [load_sample(frame, methods, truth, label, focus) for frame, label in labels.items()]
+    samples = [load_comparison_frame(frame, methods, truth, label, focus) for frame, label in labels.items()]
     write_png(path, comparison(samples, crops))
     return list(labels)

@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.figures.contact_sheet import GAP, Row, resized, sheet, type_size
+from evaluate.figures.contact_sheet import GAP, Row, contact_sheet, font_size, resize_to_width
 from evaluate.figures.crops import Crop, choose_crops
-from evaluate.figures.error_map import colored, scale_bar, shared_limit
-from evaluate.figures.text import INK, MUTED, PAPER, Color, coverage, put
+from evaluate.figures.error_map import error_colors, scale_bar, shared_limit
+from evaluate.figures.text import INK, MUTED, PAPER, Color, blend_text, text_coverage
 from evaluate.metrics.pixels import absolute_error, psnr
 
 CROP_COLORS: tuple[Color, ...] = ((0, 158, 115), (213, 94, 0), (0, 114, 178))
 
 
 @dataclass(frozen=True)
-class Sample:
+class ComparisonFrame:
     """One frame as several methods see it.
 
     Attributes:
@@ -44,7 +44,9 @@ class Sample:
         return choose_crops(np.mean(list(self.errors().values()), axis=0), count, focus=focus)
 
 
-def comparison(samples: Sequence[Sample], crops: int = 2, width: int | None = None) -> UInt8[np.ndarray, "H W 3"]:
+def comparison(
+    samples: Sequence[ComparisonFrame], crops: int = 2, width: int | None = None
+) -> UInt8[np.ndarray, "H W 3"]:
     """Pictures with PSNR, enlarged crops and error maps; one colour scale for the whole figure.
 
     Args:
@@ -64,17 +66,17 @@ def comparison(samples: Sequence[Sample], crops: int = 2, width: int | None = No
         note = f"Crops: where the error is largest{first}. {note}"
     if len(names) == 1:
         headings = ["Ground truth", names[0], *(["Crops: truth, render"] if crops else []), f"Error, 0 to {limit:g}"]
-        return sheet([_single(sample, crops, width, limit) for sample in samples], headings, note)
+        return contact_sheet([_single(sample, crops, width, limit) for sample in samples], headings, note)
     spaces = [3 * GAP * (index > 0) for index in range(len(samples))]
     rows = [
         row
         for sample, space in zip(samples, spaces, strict=True)
         for row in _several(sample, crops, width, limit, space)
     ]
-    return sheet(rows, ["Ground truth", *names], note)
+    return contact_sheet(rows, ["Ground truth", *names], note)
 
 
-def _single(sample: Sample, count: int, width: int, limit: float) -> Row:
+def _single(sample: ComparisonFrame, count: int, width: int, limit: float) -> Row:
     """One row: truth, render, crops of both, error."""
     ((_, render),) = sample.renders.items()
     crops = sample.crops(count)
@@ -84,7 +86,7 @@ def _single(sample: Sample, count: int, width: int, limit: float) -> Row:
         pairs = [_enlarged(image, crops, tiles[0].shape[0], upright=True) for image in (sample.truth, render)]
         tiles.append(_beside(pairs, width))
         captions.append("")
-    tiles.append(resized(colored(absolute_error(render, sample.truth), limit), width))
+    tiles.append(resize_to_width(error_colors(absolute_error(render, sample.truth), limit), width))
     return Row(tiles, sample.label, [*captions, ""])
 
 
@@ -92,10 +94,10 @@ def _beside(strips: Sequence[np.ndarray], width: int) -> UInt8[np.ndarray, "H W 
     """Two strips as one tile no wider than `width`."""
     gap = np.full((strips[0].shape[0], GAP, 3), PAPER, np.uint8)
     both = np.concatenate((strips[0], gap, strips[1]), axis=1)
-    return resized(both, width) if both.shape[1] > width else both
+    return resize_to_width(both, width) if both.shape[1] > width else both
 
 
-def _several(sample: Sample, count: int, width: int, limit: float, space: int) -> list[Row]:
+def _several(sample: ComparisonFrame, count: int, width: int, limit: float, space: int) -> list[Row]:
     """Three rows: pictures, crops, errors."""
     crops = sample.crops(count)
     pictures = [sample.truth, *sample.renders.values()]
@@ -103,14 +105,14 @@ def _several(sample: Sample, count: int, width: int, limit: float, space: int) -
     rows = [Row([_marked(image, crops, width) for image in pictures], sample.label, captions, space)]
     if crops:
         rows.append(Row([_enlarged(image, crops, width) for image in pictures], "crops"))
-    maps = [resized(colored(error, limit), width) for error in sample.errors().values()]
+    maps = [resize_to_width(error_colors(error, limit), width) for error in sample.errors().values()]
     rows.append(Row([_legend(maps[0].shape[0], width, limit), *maps], "error"))
     return rows
 
 
 def _marked(image: np.ndarray, crops: Sequence[Crop], width: int) -> np.ndarray:
     """A picture with the outlines of the crops."""
-    shown, factor = resized(image, width).copy(), width / image.shape[1]
+    shown, factor = resize_to_width(image, width).copy(), width / image.shape[1]
     for crop, color in zip(crops, CROP_COLORS, strict=False):
         first = (round(crop.left * factor), round(crop.top * factor))
         last = (round((crop.left + crop.size) * factor) - 1, round((crop.top + crop.size) * factor) - 1)
@@ -133,12 +135,14 @@ def _enlarged(image: np.ndarray, crops: Sequence[Crop], length: int, upright: bo
 def _legend(height: int, width: int, limit: float) -> np.ndarray:
     """The colour scale with its ends, in the place under the ground truth."""
     tile = np.full((height, width, 3), PAPER, np.uint8)
-    size, bar = type_size(width), scale_bar(max(8, height // 14), round(width * 0.8))
+    size, bar = font_size(width), scale_bar(max(8, height // 14), round(width * 0.8))
     top, left = height // 2 - bar.shape[0], (width - bar.shape[1]) // 2
     tile[top : top + bar.shape[0], left : left + bar.shape[1]] = bar
     for text, position in (("0", 0.0), (f"{limit / 2:g}", 0.5), (f"≥ {limit:g}", 1.0)):
-        covered = coverage(text, size * 0.85)
-        put(tile, covered, left + round(position * (bar.shape[1] - covered.shape[1])), top + bar.shape[0] + 4, MUTED)
-    title = coverage("mean |difference|", size * 0.85)
-    put(tile, title, (width - title.shape[1]) // 2, top - title.shape[0] - 6, INK)
+        covered = text_coverage(text, size * 0.85)
+        blend_text(
+            tile, covered, left + round(position * (bar.shape[1] - covered.shape[1])), top + bar.shape[0] + 4, MUTED
+        )
+    title = text_coverage("mean |difference|", size * 0.85)
+    blend_text(tile, title, (width - title.shape[1]) // 2, top - title.shape[0] - 6, INK)
     return tile

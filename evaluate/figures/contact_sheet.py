@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.figures.text import INK, MUTED, PAPER, fitted, put, strip
+from evaluate.figures.text import INK, MUTED, PAPER, blend_text, fit_text, text_band
 
 GAP = 6
 
@@ -41,7 +41,7 @@ class Row:
         return max(tile.shape[1] for tile in self.tiles if tile is not None)
 
 
-def sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> UInt8[np.ndarray, "H W 3"]:
+def contact_sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> UInt8[np.ndarray, "H W 3"]:
     """Lay out rows under headings.
 
     Args:
@@ -60,7 +60,7 @@ def sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> 
         raise ValueError(
             f"expected {columns} columns, got {[len(row.tiles) for row in rows]} and {len(headings)} headings"
         )
-    width, size = max(row.width for row in rows), type_size(max(row.width for row in rows))
+    width, size = max(row.width for row in rows), font_size(max(row.width for row in rows))
     margin = round(2.2 * size) if any(row.label for row in rows) else 0
     bands = [_headings(headings, width, size, margin)] if headings else []
     bands += [_row(row, width, size, margin) for row in rows]
@@ -69,12 +69,12 @@ def sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> 
     return _framed(np.concatenate(bands))
 
 
-def type_size(width: int) -> float:
+def font_size(width: int) -> float:
     """Size of the type for tiles of a width, px: legible when the sheet is shrunk to a page."""
     return float(np.clip(width / 14, 12, 30))
 
 
-def resized(image: UInt8[np.ndarray, "H W C"], width: int) -> UInt8[np.ndarray, "h w C"]:
+def resize_to_width(image: UInt8[np.ndarray, "H W C"], width: int) -> UInt8[np.ndarray, "h w C"]:
     """A picture resampled to a width, keeping its shape; averaged when shrunk, interpolated when enlarged."""
     if image.shape[1] == width:
         return image
@@ -85,7 +85,7 @@ def resized(image: UInt8[np.ndarray, "H W C"], width: int) -> UInt8[np.ndarray, 
 
 
 def _headings(headings: Sequence[str], width: int, size: float, margin: int) -> np.ndarray:
-    band = strip(list(headings), [width + GAP] * len(headings), size, INK, bold=True)
+    band = text_band(list(headings), [width + GAP] * len(headings), size, INK, bold=True)
     return _padded(band[:, : band.shape[1] - GAP], margin)
 
 
@@ -97,19 +97,19 @@ def _row(row: Row, width: int, size: float, margin: int) -> np.ndarray:
             band[: tile.shape[0], left : left + tile.shape[1]] = tile
     parts = [np.full((row.space, band.shape[1], 3), PAPER, np.uint8), band]
     if row.captions:
-        caption = strip(list(row.captions), [width + GAP] * len(row.captions), size * 0.85, MUTED)
+        caption = text_band(list(row.captions), [width + GAP] * len(row.captions), size * 0.85, MUTED)
         parts.append(caption[:, : band.shape[1]])
     else:
         parts.append(np.full((GAP, band.shape[1], 3), PAPER, np.uint8))
     laid = _padded(np.concatenate(parts), margin)
     if row.label:
-        upward = np.rot90(fitted(row.label, size, row.height))
-        put(laid, upward, (margin - upward.shape[1]) // 2, row.space + (row.height - upward.shape[0]) // 2, INK)
+        upward = np.rot90(fit_text(row.label, size, row.height))
+        blend_text(laid, upward, (margin - upward.shape[1]) // 2, row.space + (row.height - upward.shape[0]) // 2, INK)
     return laid
 
 
 def _line(text: str, width: int, size: float) -> np.ndarray:
-    return strip([text], [width], size * 0.85, MUTED)
+    return text_band([text], [width], size * 0.85, MUTED)
 
 
 def _padded(band: np.ndarray, margin: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from evaluate.figures.evaluation_images import Shown, measured, names_of
+from evaluate.figures.evaluation_images import EvaluationImages, display_names, measured_metrics
 from evaluate.metrics.catalogue import metric_of, title_of
 from ggavatar.io.atomic import write_atomically
 
@@ -18,7 +18,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B
 """Okabe and Ito's palette, which readers with any colour vision can tell apart."""
 
 
-def curves(shown: Sequence[Shown], metrics: Sequence[str] = ()) -> Figure:
+def curves(shown: Sequence[EvaluationImages], metrics: Sequence[str] = ()) -> Figure:
     """A panel a metric, with the mean of every method as a dashed line and the worst frame marked.
 
     Args:
@@ -26,7 +26,9 @@ def curves(shown: Sequence[Shown], metrics: Sequence[str] = ()) -> Figure:
         metrics: What to draw; by default the main table's metrics that were measured.
     """
     wanted = set(shown[0].evaluation.protocol.table_metrics)
-    chosen = list(metrics) or [name for name in measured(shown) if name in wanted] or measured(shown)[:1]
+    chosen = (
+        list(metrics) or [name for name in measured_metrics(shown) if name in wanted] or measured_metrics(shown)[:1]
+    )
     figure = Figure(figsize=(9.0, 0.9 + 1.9 * len(chosen)), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
@@ -41,9 +43,9 @@ def curves(shown: Sequence[Shown], metrics: Sequence[str] = ()) -> Figure:
     return figure
 
 
-def _draw(panel: Axes, shown: Sequence[Shown], name: str) -> None:
+def _draw(panel: Axes, shown: Sequence[EvaluationImages], name: str) -> None:
     metric = metric_of(name)
-    for index, (one, label) in enumerate(zip(shown, names_of(shown), strict=True)):
+    for index, (one, label) in enumerate(zip(shown, display_names(shown), strict=True)):
         color = COLORS[index % len(COLORS)]
         frames = np.array(one.evaluation.frames)
         values = np.array([np.nan if value is None else value for value in one.evaluation.values.get(name, ())])
@@ -64,9 +66,9 @@ def _draw(panel: Axes, shown: Sequence[Shown], name: str) -> None:
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def write_curves(path: Path, shown: Sequence[Shown]) -> None:
+def write_curves(path: Path, shown: Sequence[EvaluationImages]) -> None:
     """Draw the curves into a file whose suffix decides the format (.png, .pdf, .svg), if anything was measured."""
-    if not measured(shown):
+    if not measured_metrics(shown):
         return
     figure = curves(shown)
     write_atomically(path, lambda stream: figure.savefig(stream, format=path.suffix[1:]))

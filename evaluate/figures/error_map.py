@@ -19,7 +19,7 @@ def shared_limit(errors: Iterable[Float[np.ndarray, "H W"]], quantile: float = 0
     return next((limit for limit in LIMITS if limit >= highest), LIMITS[-1])
 
 
-def colored(error: Float[np.ndarray, "H W"], limit: float) -> UInt8[np.ndarray, "H W 3"]:
+def error_colors(error: Float[np.ndarray, "H W"], limit: float) -> UInt8[np.ndarray, "H W 3"]:
     """Errors as colours, 0 black and `limit` or more the brightest of a perceptually uniform scale."""
     indices = np.clip(error / limit * 255.0 + 0.5, 0, 255).astype(np.uint8)
     return _palette()[indices]
@@ -27,7 +27,7 @@ def colored(error: Float[np.ndarray, "H W"], limit: float) -> UInt8[np.ndarray, 
 
 def scale_bar(height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
     """The colour scale as a horizontal bar, zero at the left."""
-    return np.repeat(colored(np.linspace(0, 1, width, dtype=np.float32)[None], 1.0), height, axis=0)
+    return np.repeat(error_colors(np.linspace(0, 1, width, dtype=np.float32)[None], 1.0), height, axis=0)
 
 
 @cache

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from evaluate.metrics.catalogue import metric_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
 from evaluate.scoring.frame_files import find_frame
 from ggavatar.errors import InputError
@@ -19,7 +19,7 @@ from ggavatar.io.images import read_rgb
 
 
 @dataclass(frozen=True)
-class Shown:
+class EvaluationImages:
     """One method on one subject, with its pictures.
 
     Attributes:
@@ -37,14 +37,14 @@ class Shown:
     faces: tuple[Path, ...] = ()
 
     @staticmethod
-    def in_folder(evaluation: Evaluation, home: Path) -> Shown:
+    def in_folder(evaluation: Evaluation, home: Path) -> EvaluationImages:
         """Pictures and frame rate where `evaluate.scoring.predict` wrote them."""
         try:
             fps = float(json.loads((home / "predict.json").read_text(encoding="utf-8"))["identity"]["fps"])
         except (OSError, ValueError, KeyError, TypeError):
             fps = 25.0
         faces = tuple(home / "regions" / name for name in ("face", "mouth", "eyes"))
-        return Shown(evaluation, home / "predictions", home / "ground_truth", fps, faces)
+        return EvaluationImages(evaluation, home / "predictions", home / "ground_truth", fps, faces)
 
     def pair(self, frame: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
         """Render and ground truth of a frame; `InputError` if one is missing or they differ in size."""
@@ -56,9 +56,9 @@ class Shown:
         return render, truth
 
 
-def names_of(shown: Sequence[Shown]) -> list[str]:
+def display_names(shown: Sequence[EvaluationImages]) -> list[str]:
     """Distinct labels: the method, with its seed or a number where several share one."""
-    methods = [printed(one.evaluation.method) for one in shown]
+    methods = [display_name(one.evaluation.method) for one in shown]
     labels = []
     for index, one in enumerate(shown):
         method, seed = methods[index], one.evaluation.seed
@@ -67,7 +67,7 @@ def names_of(shown: Sequence[Shown]) -> list[str]:
     return labels
 
 
-def measured(shown: Sequence[Shown]) -> list[str]:
+def measured_metrics(shown: Sequence[EvaluationImages]) -> list[str]:
     """Columns with at least one value, in the order of the protocol."""
     columns = dict.fromkeys(name for one in shown for name in one.evaluation.protocol.columns)
     return [name for name in columns if any(_any_value(one.evaluation, name) for one in shown)]
@@ -77,7 +77,7 @@ def _any_value(evaluation: Evaluation, name: str) -> bool:
     return any(value is not None for value in evaluation.values.get(name, ()))
 
 
-def worst_frames(shown: Sequence[Shown], count: int, metric: str = "psnr") -> list[int]:
+def worst_frames(shown: Sequence[EvaluationImages], count: int, metric: str = "psnr") -> list[int]:
     """Frames of the first evaluation with the worst values, the worst first; identical frames come last."""
     evaluation = shown[0].evaluation
     values = evaluation.values.get(metric, ())

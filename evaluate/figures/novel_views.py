@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from evaluate.figures.contact_sheet import Row, resized, sheet
-from evaluate.motion.orbit import turned
+from evaluate.figures.contact_sheet import Row, contact_sheet, resize_to_width
+from evaluate.motion.orbit import orbit_camera
 from evaluate.scoring.frame_files import to_8_bit
 from evaluate.scoring.ground_truth import Color
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
@@ -40,7 +40,7 @@ def views_at(
     drive, camera, center = pose
     gaussians = avatar.gaussians(drive)
     color = center.new_tensor(background)
-    cameras = [turned(camera, center, math.radians(yaw), math.radians(pitch)) for yaw, pitch in angles]
+    cameras = [orbit_camera(camera, center, math.radians(yaw), math.radians(pitch)) for yaw, pitch in angles]
     return [to_8_bit(rasterize(gaussians, camera, color).image.float().cpu().numpy()) for camera in cameras]
 
 
@@ -63,10 +63,12 @@ def novel_views(
     over_y = views_at(avatar, rasterize, pose, [(yaw, 0.0) for yaw in YAWS], background)
     over_x = views_at(avatar, rasterize, pose, [(0.0, pitch) for pitch in PITCHES], background)
     rows = [
-        Row([resized(image, width) for image in over_y], "turned over y", [_degrees(angle) for angle in YAWS]),
-        Row([resized(image, width) for image in over_x], "turned over x", [_degrees(angle) for angle in PITCHES]),
+        Row([resize_to_width(image, width) for image in over_y], "turned over y", [_degrees(angle) for angle in YAWS]),
+        Row(
+            [resize_to_width(image, width) for image in over_x], "turned over x", [_degrees(angle) for angle in PITCHES]
+        ),
     ]
-    return sheet(rows, note="0° is the camera of the frame; the expression is held")
+    return contact_sheet(rows, note="0° is the camera of the frame; the expression is held")
 
 
 def _degrees(angle: float) -> str:

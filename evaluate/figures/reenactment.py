@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.figures.contact_sheet import Row, resized, sheet
-from evaluate.motion.motion import Motion
+from evaluate.figures.contact_sheet import Row, contact_sheet, resize_to_width
+from evaluate.motion.driving_sequence import DrivingSequence
 
 
 def reenactment(
@@ -25,12 +25,14 @@ def reenactment(
         captions: Under the driver's frames, such as frame numbers.
         width: Of one picture, px.
     """
-    rows = [Row([resized(image, width) for image in driver], "driver", captions)] if driver else []
-    rows += [Row([resized(image, width) for image in images], name) for name, images in results.items()]
-    return sheet(rows, note="Expression and pose carried over relative to the neutral frames of driver and avatar")
+    rows = [Row([resize_to_width(image, width) for image in driver], "driver", captions)] if driver else []
+    rows += [Row([resize_to_width(image, width) for image in images], name) for name, images in results.items()]
+    return contact_sheet(
+        rows, note="Expression and pose carried over relative to the neutral frames of driver and avatar"
+    )
 
 
-def telling_rows(motion: Motion, count: int) -> list[int]:
+def representative_rows(motion: DrivingSequence, count: int) -> list[int]:
     """Rows that differ most from the neutral and from each other: farthest-point choice, in order of time.
 
     Args:
@@ -49,7 +51,7 @@ def telling_rows(motion: Motion, count: int) -> list[int]:
     return sorted(set(chosen))
 
 
-def _features(motion: Motion) -> Float[np.ndarray, "T D"]:
+def _features(motion: DrivingSequence) -> Float[np.ndarray, "T D"]:
     """What the eye notices, in units of about one: expression weighted by its energy, joints and lids."""
     centered = motion.expression - motion.expression.mean(axis=0)
     scale = max(float(np.sqrt(np.square(centered).sum(axis=1).mean())), 1e-9)

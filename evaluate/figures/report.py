@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from evaluate.figures.curves import COLORS
-from evaluate.figures.evaluation_images import Shown, measured, names_of, worst_frames
+from evaluate.figures.evaluation_images import EvaluationImages, display_names, measured_metrics, worst_frames
 from evaluate.figures.report_images import report_pictures
 from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.protocols.results import Evaluation, write_text
@@ -28,7 +28,7 @@ WORST = 6
 FOLDED = MappingProxyType({"detail": "All metrics", "sources": "What was scored"})
 
 
-def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) -> None:
+def write_report(path: Path, shown: Sequence[EvaluationImages], megabytes: float = 12.0) -> None:
     """Write the report of one or more methods on one subject.
 
     Args:
@@ -49,23 +49,25 @@ def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) ->
     tables = "\n".join(map(_table, build_tables(evaluations)))
     parts = {
         "TITLE": escape(_title(shown)),
-        "SUMMARY": _summary(evaluations[0], names_of(shown)[0] if len(shown) > 1 else ""),
+        "SUMMARY": _summary(evaluations[0], display_names(shown)[0] if len(shown) > 1 else ""),
         "TABLE-STYLE": STYLE,
         "TABLES": tables,
         "PROTOCOL": _definition_list(_protocol(evaluations[0])),
-        "PROVENANCE": "".join(_provenance(one, name) for one, name in zip(evaluations, names_of(shown), strict=True)),
+        "PROVENANCE": "".join(
+            _provenance(one, name) for one, name in zip(evaluations, display_names(shown), strict=True)
+        ),
         "DATA": json.dumps(report_data(shown, megabytes), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c"),
     }
     page = (files("evaluate.figures") / TEMPLATE).read_text(encoding="utf-8")
     write_text(path, re.sub(r"<!--([A-Z-]+)-->", lambda found: parts[found[1]], page))
 
 
-def report_data(shown: Sequence[Shown], megabytes: float) -> dict[str, Any]:
+def report_data(shown: Sequence[EvaluationImages], megabytes: float) -> dict[str, Any]:
     """What the page's script draws: numbers of all frames, pictures of those that fit."""
     pictures, limit = report_pictures(shown, megabytes)
-    columns, headline = measured(shown), set(shown[0].evaluation.protocol.table_metrics)
+    columns, headline = measured_metrics(shown), set(shown[0].evaluation.protocol.table_metrics)
     return {
-        "methods": names_of(shown),
+        "methods": display_names(shown),
         "colors": [COLORS[index % len(COLORS)] for index in range(len(shown))],
         "metrics": [_metric(name, name in headline or name.startswith("psnr@")) for name in columns],
         "frames": list(shown[0].evaluation.frames),
@@ -109,8 +111,8 @@ def _value(value: float | None) -> float | str | None:
     return value if value is None or math.isfinite(value) else "identical"
 
 
-def _title(shown: Sequence[Shown]) -> str:
-    return f"{shown[0].evaluation.subject}: {', '.join(names_of(shown))}"
+def _title(shown: Sequence[EvaluationImages]) -> str:
+    return f"{shown[0].evaluation.subject}: {', '.join(display_names(shown))}"
 
 
 def _summary(evaluation: Evaluation, name: str) -> str:

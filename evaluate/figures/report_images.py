@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.figures.contact_sheet import resized
-from evaluate.figures.error_map import colored, shared_limit
-from evaluate.figures.evaluation_images import Shown, worst_frames
+from evaluate.figures.contact_sheet import resize_to_width
+from evaluate.figures.error_map import error_colors, shared_limit
+from evaluate.figures.evaluation_images import EvaluationImages, worst_frames
 from evaluate.metrics.pixels import absolute_error
 
 QUALITY, ERROR_QUALITY = 88, 70
 LARGEST_SIDE = 768
 
 
-def report_pictures(shown: Sequence[Shown], megabytes: float) -> tuple[list[dict[str, Any]], float]:
+def report_pictures(shown: Sequence[EvaluationImages], megabytes: float) -> tuple[list[dict[str, Any]], float]:
     """Truth, renders and errors of as many frames as fit, and the error at the top of their colour scale.
 
     The worst frames of the first method come first, then ever finer steps over the split, so a small budget still
@@ -43,9 +43,9 @@ def report_pictures(shown: Sequence[Shown], megabytes: float) -> tuple[list[dict
     return sorted(entries, key=lambda entry: entry["frame"]), limit
 
 
-def _entry(shown: Sequence[Shown], frame: int, limit: float) -> dict[str, Any]:
+def _entry(shown: Sequence[EvaluationImages], frame: int, limit: float) -> dict[str, Any]:
     pairs = [one.pair(frame) for one in shown]
-    errors = [colored(absolute_error(render, truth), limit) for render, truth in pairs]
+    errors = [error_colors(absolute_error(render, truth), limit) for render, truth in pairs]
     return {
         "frame": frame,
         "truth": data_uri(_bounded(pairs[0][1]), QUALITY),
@@ -65,7 +65,7 @@ def data_uri(image: UInt8[np.ndarray, "H W 3"], quality: int) -> str:
 def _bounded(image: np.ndarray) -> np.ndarray:
     """No side longer than `LARGEST_SIDE`."""
     factor = LARGEST_SIDE / max(image.shape[:2])
-    return image if factor >= 1 else resized(image, round(image.shape[1] * factor))
+    return image if factor >= 1 else resize_to_width(image, round(image.shape[1] * factor))
 
 
 def _spread(frames: Sequence[int], count: int) -> list[int]:

@@ -18,7 +18,7 @@ Color = tuple[int, int, int]
 
 
 @lru_cache(maxsize=512)
-def coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H W"]:
+def text_coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H W"]:
     """How much of every pixel a line of text covers, in [0, 1]; the height depends on the size alone, so lines align.
 
     Args:
@@ -37,7 +37,7 @@ def coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H
     return covered
 
 
-def put(
+def blend_text(
     image: UInt8[np.ndarray, "H W 3"], covered: Float[np.ndarray, "h w"], left: int, top: int, color: Color = INK
 ) -> None:
     """Ink a coverage onto `image` in place; what falls outside is cut off."""
@@ -51,18 +51,18 @@ def put(
     target[:] = np.round(target * (1 - part) + np.array(color, np.float32) * part)
 
 
-def fitted(text: str, size: float, width: int, bold: bool = False) -> Float[np.ndarray, "H W"]:
+def fit_text(text: str, size: float, width: int, bold: bool = False) -> Float[np.ndarray, "H W"]:
     """A line of text no wider than `width` px: smaller type first (to 70 %), then cut with an ellipsis."""
     for factor in (1.0, 0.85, 0.7):
-        covered = coverage(text, size * factor, bold)
+        covered = text_coverage(text, size * factor, bold)
         if covered.shape[1] <= width:
             return covered
-    while len(text) > 1 and coverage(text + "…", size * 0.7, bold).shape[1] > width:
+    while len(text) > 1 and text_coverage(text + "…", size * 0.7, bold).shape[1] > width:
         text = text[:-1]
-    return coverage(text + "…", size * 0.7, bold)
+    return text_coverage(text + "…", size * 0.7, bold)
 
 
-def strip(
+def text_band(
     texts: list[str], widths: list[int], size: float, color: Color = INK, paper: Color = PAPER, bold: bool = False
 ) -> UInt8[np.ndarray, "H W 3"]:
     """A band with one centred text per field; the fields lie side by side."""
@@ -70,7 +70,7 @@ def strip(
     band = np.full((height, sum(widths), 3), paper, np.uint8)
     left = 0
     for text, width in zip(texts, widths, strict=True):
-        covered = fitted(text, size, width - 4, bold)
-        put(band, covered, left + (width - covered.shape[1]) // 2, (height - covered.shape[0]) // 2, color)
+        covered = fit_text(text, size, width - 4, bold)
+        blend_text(band, covered, left + (width - covered.shape[1]) // 2, (height - covered.shape[0]) // 2, color)
         left += width
     return band

@@ -13,9 +13,9 @@ import numpy as np
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 from jaxtyping import UInt8
 
-from evaluate.figures.contact_sheet import type_size
-from evaluate.figures.error_map import colored, shared_limit
-from evaluate.figures.text import INK, MUTED, strip
+from evaluate.figures.contact_sheet import font_size
+from evaluate.figures.error_map import error_colors, shared_limit
+from evaluate.figures.text import INK, MUTED, text_band
 from evaluate.metrics.pixels import absolute_error, psnr
 from evaluate.scoring.frame_files import common_frames, frame_files
 from ggavatar.errors import InputError
@@ -117,11 +117,11 @@ def write_side_by_side(
 
 def _panel(frame: int, render: np.ndarray, truth: np.ndarray, name: str, limit: float) -> UInt8[np.ndarray, "H W 3"]:
     """One picture of the video: headings, three pictures, captions."""
-    pictures = np.concatenate((truth, render, colored(absolute_error(render, truth), limit)), axis=1)
-    widths, size = [truth.shape[1]] * 3, type_size(truth.shape[1])
-    head = strip(["Ground truth", name, f"Error, 0 to {limit:g}"], widths, size, INK, bold=True)
+    pictures = np.concatenate((truth, render, error_colors(absolute_error(render, truth), limit)), axis=1)
+    widths, size = [truth.shape[1]] * 3, font_size(truth.shape[1])
+    head = text_band(["Ground truth", name, f"Error, 0 to {limit:g}"], widths, size, INK, bold=True)
     quality = psnr(render, truth)
-    foot = strip(
+    foot = text_band(
         [f"frame {frame}", "identical" if np.isinf(quality) else f"{quality:.2f} dB", ""], widths, size * 0.85, MUTED
     )
     return np.concatenate((head, pictures, foot))

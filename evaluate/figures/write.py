@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from evaluate.figures.comparison import load_sample, typical_frames, write_comparison
+from evaluate.figures.comparison import load_comparison_frame, typical_frames, write_comparison
 from evaluate.figures.comparison_layout import comparison
 from evaluate.figures.curves import write_curves
-from evaluate.figures.evaluation_images import Shown, names_of
+from evaluate.figures.evaluation_images import EvaluationImages, display_names
 from evaluate.figures.report import write_report
 from evaluate.figures.video import write_side_by_side
 from evaluate.figures.worst_frames import write_worst_frames
@@ -24,7 +24,9 @@ REPORT, COMPARISON, VIDEO, CURVES, WORST = (
 )
 
 
-def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None] | None = None) -> list[Path]:
+def write_visuals(
+    shown: EvaluationImages, home: Path, progress: Callable[[int, int], None] | None = None
+) -> list[Path]:
     """Write what belongs to one evaluation beside its metrics; files newer than the metrics are kept.
 
     Args:
@@ -35,7 +37,7 @@ def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None]
     Returns:
         The files: report, comparison, side-by-side video, curves and worst frames, where there was something to draw.
     """
-    (name,) = names_of([shown])
+    (name,) = display_names([shown])
     writers: dict[str, Callable[[Path], object]] = {
         COMPARISON: lambda path: write_comparison(path, {name: shown.predictions}, shown.truth, focus=shown.faces),
         VIDEO: lambda path: write_side_by_side(path, shown.predictions, shown.truth, shown.fps, name),
@@ -51,7 +53,7 @@ def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None]
     return [home / file for file in (REPORT, COMPARISON, VIDEO, CURVES, WORST) if (home / file).is_file()]
 
 
-def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
+def write_studies(shown: Sequence[EvaluationImages], folder: Path) -> list[Path]:
     """Write what shows several evaluations together.
 
     Args:
@@ -62,7 +64,7 @@ def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
     Returns:
         The files written; none where nothing can be compared.
     """
-    groups: dict[tuple[str, str, str], list[Shown]] = {}
+    groups: dict[tuple[str, str, str], list[EvaluationImages]] = {}
     for one in shown:
         truth = one.evaluation.hashes.get("ground_truth", "")
         groups.setdefault((one.evaluation.subject, one.evaluation.protocol.id, truth), []).append(one)
@@ -75,7 +77,7 @@ def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
     return written + _write_gallery(list(groups.values()), folder)
 
 
-def _write_study(members: Sequence[Shown], folder: Path, stem: str) -> list[Path]:
+def _write_study(members: Sequence[EvaluationImages], folder: Path, stem: str) -> list[Path]:
     """Comparison and report of several methods on one subject."""
     safe = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
     figure, page = folder / f"comparison-{safe}.png", folder / f"report-{safe}.html"
@@ -84,23 +86,23 @@ def _write_study(members: Sequence[Shown], folder: Path, stem: str) -> list[Path
     return [figure, page]
 
 
-def _write_gallery(groups: Sequence[Sequence[Shown]], folder: Path) -> list[Path]:
+def _write_gallery(groups: Sequence[Sequence[EvaluationImages]], folder: Path) -> list[Path]:
     """A hard frame of every subject that has the methods of the first (the layout of the paper's Fig. 3)."""
-    alike = [group for group in groups if names_of(group) == names_of(groups[0])]
+    alike = [group for group in groups if display_names(group) == display_names(groups[0])]
     if len({group[0].evaluation.subject for group in alike}) < 2:
         return []
     samples = []
     for group in alike:
         methods, truth, subject = _folders(group), group[0].truth, group[0].evaluation.subject
         hard = list(typical_frames(methods, truth))[-1]
-        samples.append(load_sample(hard, methods, truth, f"{subject}, frame {hard}", group[0].faces))
+        samples.append(load_comparison_frame(hard, methods, truth, f"{subject}, frame {hard}", group[0].faces))
     write_png(folder / "comparison.png", comparison(samples))
     return [folder / "comparison.png"]
 
 
-def _folders(members: Sequence[Shown]) -> dict[str, Path]:
+def _folders(members: Sequence[EvaluationImages]) -> dict[str, Path]:
     """Folders of renders by the names of the methods."""
-    return {name: one.predictions for name, one in zip(names_of(members), members, strict=True)}
+    return {name: one.predictions for name, one in zip(display_names(members), members, strict=True)}
 
 
 def _outdated(path: Path, source: Path) -> bool:

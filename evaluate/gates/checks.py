@@ -53,7 +53,7 @@ def _finite(text: str) -> float:
         return math.nan
 
 
-def resolved(name: str, evaluation: Evaluation) -> str:
+def full_metric_name(name: str, evaluation: Evaluation) -> str:
     """A metric's full name: `ssim` and `lpips` stand for the variant in the protocol's main table."""
     if name in evaluation.columns:
         return name
@@ -73,12 +73,12 @@ def check_limits(
     for evaluation in evaluations:
         for limits, sign in ((floors, 1), (ceilings, -1)):
             for wanted, limit in limits.items():
-                checks.append(_against_limit(evaluation, resolved(wanted, evaluation), limit, sign))
+                checks.append(_against_limit(evaluation, full_metric_name(wanted, evaluation), limit, sign))
     return checks
 
 
 def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -> Check:
-    case = f"{_named(evaluation)}/{name}"
+    case = f"{_label(evaluation)}/{name}"
     found = evaluation.summary(name)
     if found.mean is None:
         if found.identical and sign > 0:
@@ -90,13 +90,13 @@ def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -
     return Check(case, margin >= 0, f"{name} is {found.mean:.6g}, the {word} {limit:g} {state} {abs(margin):.6g}")
 
 
-def _named(evaluation: Evaluation) -> str:
+def _label(evaluation: Evaluation) -> str:
     """Subject and method, and the seed where it is known."""
     seed = "" if evaluation.seed is None else f"/seed {evaluation.seed}"
     return f"{evaluation.subject}/{evaluation.method}{seed}"
 
 
-def compare(
+def compare_with_baselines(
     evaluations: Sequence[Evaluation], baselines: Sequence[Evaluation], tolerances: Mapping[str, float]
 ) -> list[Check]:
     """Whether no mean is worse than in a baseline by more than its tolerance.
@@ -120,9 +120,9 @@ def compare(
                 f"now under {named[0].protocol.id} ({named[0].protocol.digest[:12]}); such numbers do not compare"
             )
         if not matching:
-            checks.append(Check(_named(old), False, "is in the baseline but was not evaluated"))
+            checks.append(Check(_label(old), False, "is in the baseline but was not evaluated"))
             continue
-        limits = {resolved(name, old): value for name, value in tolerances.items()}
+        limits = {full_metric_name(name, old): value for name, value in tolerances.items()}
         checks += [_against_baseline(matching[0], old, name, limits) for name in old.columns if _has(old, name)]
     return checks
 
@@ -133,7 +133,7 @@ def _has(evaluation: Evaluation, name: str) -> bool:
 
 
 def _against_baseline(new: Evaluation, old: Evaluation, name: str, limits: Mapping[str, float]) -> Check:
-    case = f"{_named(new)}/{name}"
+    case = f"{_label(new)}/{name}"
     metric = metric_of(name)
     before, now = old.summary(name), new.summary(name)
     if now.mean is None:

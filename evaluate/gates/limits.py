@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluate.gates.checks import Check, check_limits, compare, parse_limits
+from evaluate.gates.checks import Check, check_limits, compare_with_baselines, parse_limits
 from evaluate.options import Gates
 from evaluate.protocols.results import Evaluation, read_results
 from ggavatar.errors import InputError
@@ -30,10 +30,10 @@ class Limits:
     def checks(self, evaluations: Sequence[Evaluation]) -> list[Check]:
         """Every comparison and how it went."""
         checks = check_limits(evaluations, self.floors, self.ceilings)
-        return checks + compare(evaluations, self.baselines, self.tolerances)
+        return checks + compare_with_baselines(evaluations, self.baselines, self.tolerances)
 
 
-def limits_of(gates: Gates) -> Limits:
+def read_limits(gates: Gates) -> Limits:
     """The limits that the options name.
 
     Raises:

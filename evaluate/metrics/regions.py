@@ -40,7 +40,7 @@ def boundary_band(mask: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
     return (cv2.dilate(inside, disc, **edge) - cv2.erode(inside, disc, **edge)).astype(np.float32)
 
 
-def painted_outside(
+def fill_outside(
     image: UInt8[np.ndarray, "H W 3"], inside: Float[np.ndarray, "H W"], color: Sequence[float]
 ) -> UInt8[np.ndarray, "H W 3"]:
     """The image with everything outside a region (weight below one half) in one colour, sRGB in [0, 1]."""

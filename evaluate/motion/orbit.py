@@ -25,7 +25,7 @@ def head_center(head: HeadModel, drive: Drive) -> Float[Tensor, " 3"]:
     return (chosen.amin(dim=0) + chosen.amax(dim=0)) / 2
 
 
-def turned(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float) -> Camera:
+def orbit_camera(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float) -> Camera:
     """The camera moved on a sphere about `center`, which stays where it is in the image.
 
     Args:
@@ -43,7 +43,7 @@ def turned(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float
     return Camera(camera.intrinsics, rigid(rotation, pivot - rotation @ pivot) @ like, camera.width, camera.height)
 
 
-def sweep(count: int, yaw: float, pitch: float) -> Iterator[tuple[float, float]]:
+def orbit_angles(count: int, yaw: float, pitch: float) -> Iterator[tuple[float, float]]:
     """Yaw and pitch of an orbit that ends where it began: right and left, then up and down.
 
     Args:

@@ -10,19 +10,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evaluate.motion.motion import Motion
+from evaluate.motion.driving_sequence import DrivingSequence
 from ggavatar.core import Camera, Drive
 from ggavatar.data.frames import head_pose
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 
 
-def fitted_to(driver: Motion, target: Motion, force: bool = False) -> Motion:
+def retarget(driver: DrivingSequence, target: DrivingSequence, force: bool = False) -> DrivingSequence:
     """The driver's motion with the target's number of coefficients and order of joints; joints it lacks stay at rest.
 
     Args:
         driver: The performance.
-        target: Motion of the capture that the avatar was trained on.
+        target: DrivingSequence of the capture that the avatar was trained on.
         force: Accept another version or number of coefficients within one family of bases: missing ones are zero, those
             too many are dropped.
 
@@ -64,7 +64,7 @@ def basis_family(version: str) -> str:
     return re.sub(r"[-_.]?v?\d+([-_.]\d+)*$", "", version.lower())
 
 
-def drives_of(motion: Motion, head: HeadModel) -> Iterator[tuple[int, Drive, Camera]]:
+def drives_and_cameras(motion: DrivingSequence, head: HeadModel) -> Iterator[tuple[int, Drive, Camera]]:
     """Frame number, drive and camera of every row, on the device of the head; the drives name no training frame.
 
     Raises:

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from evaluate.motion.motion import Cameras, Motion
+from evaluate.motion.driving_sequence import Cameras, DrivingSequence
 from evaluate.motion.smoothing import smoothed
 
 
 @dataclasses.dataclass(frozen=True)
-class Transfer:
+class TransferOptions:
     """How a performance is carried over.
 
     Attributes:
@@ -33,7 +33,7 @@ class Transfer:
     margin: float | None = 0.15
 
 
-def neutral_row(motion: Motion) -> int:
+def neutral_row(motion: DrivingSequence) -> int:
     """The frame nearest to a closed-mouth, open-eyed, forward-facing rest.
 
     The sum of squared expression coefficients in units of their deviation over the clip, of joint angles (root and neck
@@ -47,7 +47,9 @@ def neutral_row(motion: Motion) -> int:
     return int(np.argmin(np.sum(terms, axis=0)))
 
 
-def transferred(driver: Motion, driver_neutral: int, target: Motion, target_neutral: int, how: Transfer) -> Motion:
+def transfer_performance(
+    driver: DrivingSequence, driver_neutral: int, target: DrivingSequence, target_neutral: int, how: TransferOptions
+) -> DrivingSequence:
     """The driver's performance by the target.
 
     Args:
@@ -58,7 +60,7 @@ def transferred(driver: Motion, driver_neutral: int, target: Motion, target_neut
         how: Manner of transfer, smoothing and limits.
 
     Returns:
-        Motion for the target with the driver's frames and speed, seen by the target's camera.
+        DrivingSequence for the target with the driver's frames and speed, seen by the target's camera.
     """
     steady = _steadied(driver, driver_neutral, how.smooth)
     rest, goal = steady.rows(_only(driver_neutral)), target.rows(_only(target_neutral))
@@ -71,14 +73,14 @@ def transferred(driver: Motion, driver_neutral: int, target: Motion, target_neut
             eyelids=goal.eyelids + steady.eyelids - rest.eyelids,
             translation=goal.translation + steady.translation - rest.translation,
         )
-    return moved if how.margin is None else limited(moved, target, target_neutral, how.margin)
+    return moved if how.margin is None else limit_to_seen(moved, target, target_neutral, how.margin)
 
 
 def _only(row: int) -> slice:
     return slice(row, row + 1)
 
 
-def _joints(driver: Motion, rest: Motion, goal: Motion) -> Float[np.ndarray, "T J 3"]:
+def _joints(driver: DrivingSequence, rest: DrivingSequence, goal: DrivingSequence) -> Float[np.ndarray, "T J 3"]:
     """Turns from the driver's neutral joints, in the axes of the parent, applied to the target's neutral joints."""
     return np.stack(
         [
@@ -95,7 +97,7 @@ def _turned(rotations: Float[np.ndarray, "T 3"], rest: np.ndarray, goal: np.ndar
     return (turn * Rotation.from_rotvec(goal)).as_rotvec()
 
 
-def _cameras(steady: Motion, rest: Cameras | None, goal: Cameras | None, pose: str) -> Cameras | None:
+def _cameras(steady: DrivingSequence, rest: Cameras | None, goal: Cameras | None, pose: str) -> Cameras | None:
     """The target's camera: turned as the driver's from its neutral frame, and moved by as much of the picture."""
     if goal is None:
         return None
@@ -109,11 +111,11 @@ def _cameras(steady: Motion, rest: Cameras | None, goal: Cameras | None, pose: s
         turn = driver.world_to_camera[:, :3, :3] @ rest.world_to_camera[0, :3, :3].T
         change = driver.world_to_camera[:, :3, 3] - rest.world_to_camera[0, :3, 3]
         views[:, :3, :3] = turn @ goal.world_to_camera[0, :3, :3]
-        views[:, :3, 3] += change * (goal.metres_across() / rest.metres_across())
+        views[:, :3, 3] += change * (goal.view_width() / rest.view_width())
     return Cameras(views, intrinsics, goal.size)
 
 
-def _steadied(motion: Motion, neutral: int, method: str) -> Motion:
+def _steadied(motion: DrivingSequence, neutral: int, method: str) -> DrivingSequence:
     """The performance filtered; rotations as axis-angle from the neutral frame, where no wrap is near."""
     if method == "none":
         return motion
@@ -144,7 +146,7 @@ def _steadied(motion: Motion, neutral: int, method: str) -> Motion:
     )
 
 
-def limited(motion: Motion, seen: Motion, neutral: int, margin: float) -> Motion:
+def limit_to_seen(motion: DrivingSequence, seen: DrivingSequence, neutral: int, margin: float) -> DrivingSequence:
     """The motion kept near what was trained on: untouched in the range seen, bent smoothly towards an end beyond it.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-TITLES = MappingProxyType(
+DISPLAY_NAMES = MappingProxyType(
     {
         "ggavatar": "GGAvatar",
         "gaussian_avatars": "GaussianAvatars",
@@ -21,6 +21,6 @@ TITLES = MappingProxyType(
 """Printed names of methods by their names on the command line, as in the paper; others are printed as they are."""
 
 
-def printed(method: str) -> str:
+def display_name(method: str) -> str:
     """The name of a method as the tables print it."""
-    return TITLES.get(method.replace("-", "_"), method)
+    return DISPLAY_NAMES.get(method.replace("-", "_"), method)

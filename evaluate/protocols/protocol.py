@@ -188,7 +188,7 @@ _NAMED = (
 PROTOCOLS: Mapping[str, Protocol] = {protocol.name: protocol for protocol in _NAMED}
 
 
-def named(name: str) -> Protocol:
+def protocol_by_name(name: str) -> Protocol:
     """A protocol by name, with or without its version: `paper`, `paper-v1`.
 
     Raises:
@@ -200,7 +200,7 @@ def named(name: str) -> Protocol:
     raise InputError(f"unknown protocol {name!r}{_nearest(name, PROTOCOLS)}; known are {', '.join(PROTOCOLS)}")
 
 
-def from_dict(fields: Mapping[str, Any]) -> Protocol:
+def protocol_from_dict(fields: Mapping[str, Any]) -> Protocol:
     """The protocol that a result file describes; the id, digest and definitions beside the fields are ignored.
 
     Raises:

@@ -13,8 +13,8 @@ from typing import Any
 
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import pooled_psnr
-from evaluate.protocols.protocol import Protocol, from_dict
-from evaluate.protocols.statistics import Summary, summarise
+from evaluate.protocols.protocol import Protocol, protocol_from_dict
+from evaluate.protocols.statistics import Summary, summarize
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 
@@ -33,7 +33,7 @@ class Evaluation:
         subject: Row of the table.
         method: Column of the table.
         protocol: What was measured.
-        frames: Scored source frames, ascending.
+        frames: FrameScores source frames, ascending.
         values: Per column one value a frame; infinite for identical images, None where there was nothing to measure.
         seed: Of the training run, if known.
         missing: Metrics without any value, with the reason.
@@ -63,7 +63,7 @@ class Evaluation:
             pooled = pooled_psnr(value for value in self.values.get("mse", ()) if value is not None)
             finite = pooled if pooled is not None and math.isfinite(pooled) else None
             return Summary(finite, None, None, None, len(self.frames), 0 if finite is not None else len(self.frames))
-        return summarise(self.values.get(name, ()), metric_of(name).higher_is_better)
+        return summarize(self.values.get(name, ()), metric_of(name).higher_is_better)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -194,7 +194,7 @@ def _from_dict(content: Mapping[str, Any]) -> Evaluation:
     return Evaluation(
         subject=str(content["subject"]),
         method=str(content["method"]),
-        protocol=from_dict(content["protocol"]),
+        protocol=protocol_from_dict(content["protocol"]),
         frames=frames,
         values=values,
         seed=content["seed"],

@@ -40,7 +40,7 @@ class Summary:
     identical: int
 
 
-def summarise(values: Sequence[Value], higher_is_better: bool) -> Summary:
+def summarize(values: Sequence[Value], higher_is_better: bool) -> Summary:
     """Summary of one metric; None (nothing to measure) is left out, infinite values (identical images) are counted."""
     known = [value for value in values if value is not None]
     finite = sorted(value for value in known if math.isfinite(value))

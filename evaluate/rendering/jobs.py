@@ -12,19 +12,19 @@ import torch
 from torch import Tensor
 
 from evaluate.figures.novel_views import novel_views
-from evaluate.figures.reenactment import reenactment, telling_rows
+from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.figures.video import playback_fps
-from evaluate.motion.motion import Motion, motion_of, read_motion
-from evaluate.motion.orbit import head_center, sweep, turned
-from evaluate.motion.retarget import drives_of, fitted_to
-from evaluate.motion.transfer import Transfer, neutral_row, transferred
-from evaluate.protocols.method_names import printed
+from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of, read_driving_sequence
+from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
+from evaluate.motion.retarget import drives_and_cameras, retarget
+from evaluate.motion.transfer import TransferOptions, neutral_row, transfer_performance
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN, Protocol
-from evaluate.rendering.standalone_file import LoneFile, open_alone
-from evaluate.rendering.views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
+from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
+from evaluate.rendering.views import CUTOUTS, FRAMES, VIDEO, Output, View, claim_folder, method_of_renders, render_views
 from evaluate.scoring.frame_files import find_frame
-from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
-from evaluate.scoring.ground_truth import Color, Truth
+from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
+from evaluate.scoring.ground_truth import Color, GroundTruth
 from ggavatar.core import Camera, Drive
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -43,7 +43,7 @@ FPS = 25.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Shot:
+class RenderPlan:
     """What to draw.
 
     Attributes:
@@ -64,31 +64,35 @@ def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]
     device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
     run = _open(options, device)
     background = _background(options, run)
-    shot = _orbit_alone(options, run, background) if isinstance(run, LoneFile) else _shot(options, run, background)
+    shot = (
+        _orbit_alone(options, run, background)
+        if isinstance(run, StandaloneGaussians)
+        else _shot(options, run, background)
+    )
     views = [_sized(view, options.width) for view in _part(shot.views, options.frames)]
     folder = options.output_dir or run.folder / "renders" / shot.name
     fps = (options.fps or shot.fps) if options.video else None
     output = Output(folder, background, fps, options.alpha)
-    claim(output, _content(options, run), options.overwrite, options.resume)
+    claim_folder(output, _content(options, run), options.overwrite, options.resume)
     render_views(run.avatar, run.rasterize, views, output, progress)
     wanted = {FRAMES: True, CUTOUTS: options.alpha, VIDEO: options.video}
     figure = shot.figure(output)
     return [folder / name for name, is_there in wanted.items() if is_there] + ([figure] if figure else [])
 
 
-def _open(options: Options, device: str) -> Run | LoneFile:
+def _open(options: Options, device: str) -> Run | StandaloneGaussians:
     """A run, or a file of Gaussians with or without a capture."""
     source = options.source
     if is_gaussian_file(options.run):
         if source.capture is None:
-            return open_alone(options.run, source, device, options.backend)
-        return open_file(options.run, source, GIVEN, device, options.backend)
+            return open_standalone(options.run, source, device, options.backend)
+        return open_gaussian_file(options.run, source, GIVEN, device, options.backend)
     refuse_file_flags(options.run, source)
     moved = [] if source.capture is None else [source.capture]
     return open_run(options.run, device, options.step, options.backend, *moved)
 
 
-def _shot(options: Options, run: Run, background: Color) -> Shot:
+def _shot(options: Options, run: Run, background: Color) -> RenderPlan:
     if options.drive is not None:
         return _driven(options, run, background)
     if options.orbit:
@@ -96,52 +100,54 @@ def _shot(options: Options, run: Run, background: Color) -> Shot:
     names = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
     frames = names[options.split]
     views = [View(frame, run.reader.drive(frame), run.reader.camera(frame)) for frame in frames]
-    return Shot(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
+    return RenderPlan(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
 
 
-def _orbit(options: Options, run: Run, background: Color) -> Shot:
-    frame = run.capture.frames[_neutral(motion_of(run.capture), options.target_neutral)]
+def _orbit(options: Options, run: Run, background: Color) -> RenderPlan:
+    frame = run.capture.frames[_neutral(driving_sequence_of(run.capture), options.target_neutral)]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
     around = drive, camera, head_center(_head(run), drive)
     return _around(options, run, around, run.capture.fps, background)
 
 
-def _orbit_alone(options: Options, file: LoneFile, background: Color) -> Shot:
-    return _around(options, file, file.front(), FPS, background)
+def _orbit_alone(options: Options, file: StandaloneGaussians, background: Color) -> RenderPlan:
+    return _around(options, file, file.front_view(), FPS, background)
 
 
 def _around(
-    options: Options, run: Run | LoneFile, view: tuple[Drive, Camera, Tensor], fps: float, background: Color
-) -> Shot:
+    options: Options, run: Run | StandaloneGaussians, view: tuple[Drive, Camera, Tensor], fps: float, background: Color
+) -> RenderPlan:
     """An orbit that holds the drive, from a camera and about a point."""
     drive, camera, center = view
-    angles = sweep(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
-    views = [View(index, drive, turned(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
+    angles = orbit_angles(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
+    views = [View(index, drive, orbit_camera(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
 
     def figure(output: Output) -> Path:
         path = output.folder / "novel_views.png"
         write_png(path, novel_views(run.avatar, run.rasterize, view, background))
         return path
 
-    return Shot("orbit", views, fps, figure)
+    return RenderPlan("orbit", views, fps, figure)
 
 
-def _driven(options: Options, run: Run, background: Color) -> Shot:
+def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     source = options.drive or Path()
-    target, driver = motion_of(run.capture), read_motion(source)
-    driver = fitted_to(driver, target, options.force_basis)
+    target, driver = driving_sequence_of(run.capture), read_driving_sequence(source)
+    driver = retarget(driver, target, options.force_basis)
     if options.transfer == "absolute" and options.pose == "absolute" and driver.cameras is None:
         raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
-    how = Transfer(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
+    how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
     seen = target.rows(np.array([target.row(frame) for frame in run.split.train]))
-    moved = transferred(driver, _neutral(driver, options.neutral), seen, _neutral(seen, options.target_neutral), how)
-    views = [View(*item) for item in drives_of(moved, _head(run))]
+    moved = transfer_performance(
+        driver, _neutral(driver, options.neutral), seen, _neutral(seen, options.target_neutral), how
+    )
+    views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
 
     def figure(output: Output) -> Path:
         drawn = [view.number for view in _part(views, options.frames)]
-        chosen = [drawn[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
+        chosen = [drawn[row] for row in representative_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
         path = output.folder / "reenactment.png"
-        results = _labelled(printed(run.method), output.folder, options.beside)
+        results = _labelled(display_name(run.method), output.folder, options.beside)
         rows = {
             name: [read_rgb(find_frame(home / FRAMES, frame)) for frame in chosen] for name, home in results.items()
         }
@@ -149,19 +155,19 @@ def _driven(options: Options, run: Run, background: Color) -> Shot:
         write_png(path, reenactment(_driver_pictures(source, chosen, background), rows, captions))
         return path
 
-    return Shot(f"drive-{source.stem}", views, driver.fps, figure)
+    return RenderPlan(f"drive-{source.stem}", views, driver.fps, figure)
 
 
 def _labelled(method: str, own: Path, folders: Sequence[Path]) -> dict[str, Path]:
     """Our folder and those of earlier renders, by distinct names of methods."""
     found = {method: own}
     for folder in folders:
-        name = printed(read_note(folder))
+        name = display_name(method_of_renders(folder))
         found[name if name not in found else f"{name} ({folder.name})"] = folder
     return found
 
 
-def _rows_of(motion: Motion, frames: Sequence[int]) -> np.ndarray:
+def _rows_of(motion: DrivingSequence, frames: Sequence[int]) -> np.ndarray:
     return np.array([motion.row(frame) for frame in frames])
 
 
@@ -170,10 +176,10 @@ def _driver_pictures(source: Path, frames: Sequence[int], background: Color) -> 
     if not source.is_dir():
         return []
     capture = Capture.open(source)
-    return [Truth(background).of(capture, frame)[0] for frame in frames]
+    return [GroundTruth(background).of(capture, frame)[0] for frame in frames]
 
 
-def _neutral(motion: Motion, frame: int | None) -> int:
+def _neutral(motion: DrivingSequence, frame: int | None) -> int:
     return neutral_row(motion) if frame is None else motion.row(frame)
 
 
@@ -181,7 +187,7 @@ def _head(run: Run) -> HeadModel:
     return load_head(run.capture.head_path).to(run.background.device, torch.float32)
 
 
-def _background(options: Options, run: Run | LoneFile) -> Color:
+def _background(options: Options, run: Run | StandaloneGaussians) -> Color:
     red, green, blue = run.background.tolist()
     if options.background is None:
         return red, green, blue
@@ -210,12 +216,12 @@ def _sized(view: View, width: int | None) -> View:
     )
 
 
-def _content(options: Options, run: Run | LoneFile) -> dict[str, Any]:
+def _content(options: Options, run: Run | StandaloneGaussians) -> dict[str, Any]:
     """What decides the pictures, as plain values: equal for equal pictures."""
     skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
-    subject = run.subject if isinstance(run, LoneFile) else run.capture.subject
+    subject = run.subject if isinstance(run, StandaloneGaussians) else run.capture.subject
     content = {"subject": subject, "method": run.method, "step": run.step, "options": chosen}
     if "file_sha256" in run.provenance:
         opened = {name: None if value is None else str(value) for name, value in vars(options.source).items()}

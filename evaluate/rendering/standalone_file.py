@@ -17,14 +17,14 @@ from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.geometry.transforms import look_at
 from ggavatar.render.backends import pick
 
-SIDE, FIELD_OF_VIEW, FILLED, INNER = 512, math.radians(25), 0.8, 0.96
+IMAGE_SIDE, FIELD_OF_VIEW, FILL_FRACTION, INNER_FRACTION = 512, math.radians(25), 0.8, 0.96
 """Picture side (px), opening of the camera, share of the picture that is filled, by this share of the Gaussians."""
-MANY = 1 << 20
+MAX_POINTS_FOR_EXTENT = 1 << 20
 """More Gaussians than this are thinned out to find their box."""
 
 
 @dataclass(frozen=True)
-class LoneFile:
+class StandaloneGaussians:
     """What drawing needs of a file of Gaussians.
 
     Attributes:
@@ -47,15 +47,15 @@ class LoneFile:
     provenance: dict[str, str]
     step: int = 0
 
-    def front(self) -> tuple[Drive, Camera, Float[Tensor, "3"]]:
+    def front_view(self) -> tuple[Drive, Camera, Float[Tensor, "3"]]:
         """A neutral drive, a camera that sees all of it from the front (+Z), and the point it looks at, m."""
         drive = self._drive()
         center, radius = extent(self.avatar.gaussians(drive))
-        distance = radius / (FILLED * math.tan(FIELD_OF_VIEW / 2))
-        focal = SIDE / 2 / math.tan(FIELD_OF_VIEW / 2)
-        intrinsics = center.new_tensor([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1]])
+        distance = radius / (FILL_FRACTION * math.tan(FIELD_OF_VIEW / 2))
+        focal = IMAGE_SIDE / 2 / math.tan(FIELD_OF_VIEW / 2)
+        intrinsics = center.new_tensor([[focal, 0, IMAGE_SIDE / 2], [0, focal, IMAGE_SIDE / 2], [0, 0, 1]])
         view = look_at(center + center.new_tensor([0, 0, distance]), center, center.new_tensor([0.0, 1.0, 0.0]))
-        return drive, Camera(intrinsics, view, SIDE, SIDE), center
+        return drive, Camera(intrinsics, view, IMAGE_SIDE, IMAGE_SIDE), center
 
     def _drive(self) -> Drive:
         if isinstance(self.avatar, BoundAvatar):
@@ -68,13 +68,13 @@ def extent(gaussians: Gaussians) -> tuple[Float[Tensor, "3"], float]:
     """Middle and half side, m, of the box around all but a few outlying Gaussians, two deviations wide."""
     visible = gaussians.opacities > 1 / 255
     rows = visible.nonzero()[:, 0] if bool(visible.any()) else torch.arange(len(visible), device=visible.device)
-    rows, margin = rows[:: 1 + len(rows) // MANY], (1 - INNER) / 2
+    rows, margin = rows[:: 1 + len(rows) // MAX_POINTS_FOR_EXTENT], (1 - INNER_FRACTION) / 2
     means, reach = gaussians.means[rows], 2 * gaussians.scales[rows].amax(dim=1, keepdim=True)
     low, high = (means - reach).quantile(margin, dim=0), (means + reach).quantile(1 - margin, dim=0)
     return (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
 
 
-def open_alone(path: Path, source: GaussianFileOptions, device: str, backend: str) -> LoneFile:
+def open_standalone(path: Path, source: GaussianFileOptions, device: str, backend: str) -> StandaloneGaussians:
     """Open a file of Gaussians without a capture.
 
     Raises:
@@ -84,4 +84,6 @@ def open_alone(path: Path, source: GaussianFileOptions, device: str, backend: st
     method = "GaussianAvatars file" if isinstance(avatar, BoundAvatar) else "3DGS file"
     background = torch.tensor(WHITE, device=device)
     digest = {"file": str(path), "file_sha256": file_digest(path)}
-    return LoneFile(results_folder(path), path.stem, method, avatar, pick(device, backend), background, digest)
+    return StandaloneGaussians(
+        results_folder(path), path.stem, method, avatar, pick(device, backend), background, digest
+    )

@@ -39,7 +39,7 @@ class View(NamedTuple):
     camera: Camera
 
 
-class Drawn(NamedTuple):
+class RenderedView(NamedTuple):
     """A picture that waits for the encoder."""
 
     number: int
@@ -64,7 +64,7 @@ class Output:
     alpha: bool = False
 
 
-def claim(output: Output, content: dict[str, Any], overwrite: bool, resume: bool) -> None:
+def claim_folder(output: Output, content: dict[str, Any], overwrite: bool, resume: bool) -> None:
     """Make the output folder ours; refuse one that holds something, unless it may be overwritten or resumed.
 
     Nothing but files that an earlier render wrote is ever removed.
@@ -93,7 +93,7 @@ def claim(output: Output, content: dict[str, Any], overwrite: bool, resume: bool
     write_atomically(note, lambda stream: stream.write(text.encode()))
 
 
-def read_note(folder: Path) -> str:
+def method_of_renders(folder: Path) -> str:
     """The method that drew a folder; `InputError` if ggavatar-render did not write it."""
     try:
         return str(json.loads((folder / NOTE).read_text(encoding="utf-8"))["method"])
@@ -143,7 +143,9 @@ def render_views(
         stack.callback(lambda: [future.cancel() for future in waiting])
         for done, view in enumerate(views, start=1):
             picture = _existing(output, view.number)
-            drawn = Drawn(view.number, picture) if picture is not None else _draw(avatar, rasterize, view, output)
+            drawn = (
+                RenderedView(view.number, picture) if picture is not None else _draw(avatar, rasterize, view, output)
+            )
             waiting.append(encoder.submit(_keep, drawn, output, append, is_new=picture is None))
             if len(waiting) == BATCH:
                 waiting.popleft().result()
@@ -160,18 +162,18 @@ def _existing(output: Output, number: int) -> UInt8[np.ndarray, "H W 3"] | None:
 
 
 @torch.no_grad()
-def _draw(avatar: Avatar, rasterize: Rasterizer, view: View, output: Output) -> Drawn:
+def _draw(avatar: Avatar, rasterize: Rasterizer, view: View, output: Output) -> RenderedView:
     gaussians = avatar.gaussians(view.drive)
     rendering = rasterize(gaussians, view.camera, gaussians.means.new_tensor(output.background))
     picture, cutout = to_8_bit(rendering.image.float().cpu().numpy()), None
     if output.alpha:
         straight = straight_alpha(rendering.image, rendering.alpha, rendering.image.new_tensor(output.background))
         cutout = to_8_bit(straight.float().cpu().numpy())
-    return Drawn(view.number, picture, cutout)
+    return RenderedView(view.number, picture, cutout)
 
 
 def _keep(
-    drawn: Drawn, output: Output, append: Callable[[UInt8[np.ndarray, "H W 3"]], None] | None, is_new: bool
+    drawn: RenderedView, output: Output, append: Callable[[UInt8[np.ndarray, "H W 3"]], None] | None, is_new: bool
 ) -> None:
     """Write the files of a picture and append it to the video."""
     if is_new and drawn.cutout is not None:

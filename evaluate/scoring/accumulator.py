@@ -22,7 +22,7 @@ Image = UInt8[np.ndarray, "H W 3"]
 
 
 @dataclass(frozen=True)
-class Scored:
+class FrameScores:
     """One frame: its numbers, and what its neighbour and the hashes need of it.
 
     Attributes:
@@ -65,7 +65,7 @@ class Labels:
     notes: tuple[str, ...] = ()
 
 
-class Gathering:
+class Accumulator:
     """Takes frames in ascending order and keeps numbers, not pictures, of all but the last."""
 
     def __init__(self, protocol: Protocol) -> None:
@@ -75,10 +75,10 @@ class Gathering:
         self._rows: list[dict[str, Value]] = []
         self._files: dict[str, list[str]] = {}
         self._notes: dict[str, int] = {}
-        self._last: Scored | None = None
+        self._last: FrameScores | None = None
         self._errors: dict[int, Points | None] = {}
 
-    def add(self, scored: Scored) -> None:
+    def add(self, scored: FrameScores) -> None:
         """Take the next frame."""
         self._frames.append(scored.frame)
         self._rows.append({**scored.values, **self._moving(scored), **self._jitter(scored)})
@@ -88,7 +88,7 @@ class Gathering:
             self._notes[note] = self._notes.get(note, 0) + 1
         self._last = scored
 
-    def _moving(self, now: Scored) -> dict[str, Value]:
+    def _moving(self, now: FrameScores) -> dict[str, Value]:
         """Temporal metrics of this frame, if the one before it was scored too."""
         before = self._last
         if not self._temporal or before is None or now.frame != before.frame + 1:
@@ -103,7 +103,7 @@ class Gathering:
             found["flicker"] = flicker(before.images, now.images, mask)
         return found
 
-    def _jitter(self, now: Scored) -> dict[str, Value]:
+    def _jitter(self, now: FrameScores) -> dict[str, Value]:
         """Landmark jitter of this frame and the two before it, if all three were scored."""
         if "landmark_jitter" not in self._protocol.metrics:
             return {}

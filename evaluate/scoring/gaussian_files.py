@@ -12,7 +12,7 @@ from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.training.run_folder import Run
 
 
-def open_file(path: Path, source: GaussianFileOptions, split: str, device: str, backend: str = "auto") -> Run:
+def open_gaussian_file(path: Path, source: GaussianFileOptions, split: str, device: str, backend: str = "auto") -> Run:
     """A file of Gaussians as a run; where the protocol takes the split as given, it is the capture's.
 
     Raises:

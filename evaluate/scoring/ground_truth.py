@@ -15,7 +15,7 @@ Color = tuple[float, float, float]
 
 
 @runtime_checkable
-class Pictures(Protocol):
+class ImageSource(Protocol):
     """The part of `ggavatar.data.capture.Capture` that holds pictures."""
 
     def image(self, number: int) -> UInt8[np.ndarray, "H W 3"]:
@@ -28,7 +28,7 @@ class Pictures(Protocol):
 
 
 @dataclass(frozen=True)
-class Truth:
+class GroundTruth:
     """How the ground truth is made of image and mask.
 
     Attributes:
@@ -41,7 +41,7 @@ class Truth:
     size: tuple[int, int] | None = None
     binary_mask: bool = False
 
-    def of(self, capture: Pictures, number: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W"]]:
+    def of(self, capture: ImageSource, number: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W"]]:
         """Image, composited as I·α + background·(1 − α), and mask of a source frame, rounded to 8 bits at the end.
 
         Raises:

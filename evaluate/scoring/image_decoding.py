@@ -16,7 +16,7 @@ from ggavatar.io.images import image_header
 Color = tuple[float, float, float]
 
 
-class Picture(NamedTuple):
+class DecodedImage(NamedTuple):
     """A decoded picture and what was done to it.
 
     Attributes:
@@ -30,7 +30,7 @@ class Picture(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_scored(path: Path, background: Color | None) -> Picture:
+def read_scored(path: Path, background: Color | None) -> DecodedImage:
     """Decode a render or a ground truth.
 
     16-bit values are rounded to the nearest of 256 levels (the protocol's quantisation), grey is repeated, palettes are
@@ -59,7 +59,7 @@ def read_scored(path: Path, background: Color | None) -> Picture:
         color = _composited(path, color, alpha, background)
         notes.append("transparent pictures composited on the background")
     pixels = color if color.dtype == np.uint8 else np.round(np.clip(color, 0, 1) * 255).astype(np.uint8)
-    return Picture(np.ascontiguousarray(pixels), hashlib.sha256(content).hexdigest(), tuple(notes))
+    return DecodedImage(np.ascontiguousarray(pixels), hashlib.sha256(content).hexdigest(), tuple(notes))
 
 
 def read_weights(path: Path) -> tuple[Float[np.ndarray, "H W"], str]:

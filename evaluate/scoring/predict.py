@@ -19,7 +19,7 @@ from torch import Tensor
 from evaluate.metrics.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.scoring.frame_files import frame_file, to_8_bit
-from evaluate.scoring.ground_truth import Pictures, Truth
+from evaluate.scoring.ground_truth import ImageSource
 from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
@@ -33,7 +33,7 @@ Progress = Callable[[int, int], None]
 
 
 @runtime_checkable
-class Poses(Interface):
+class FrameReader(Interface):
     """Drives and cameras by source frame number, as `ggavatar.data.frames.Frames` has them."""
 
     def drive(self, number: int) -> Drive:
@@ -60,18 +60,18 @@ class Renderable(Interface):
         ...
 
     @property
-    def capture(self) -> Pictures:
+    def capture(self) -> ImageSource:
         """Where the ground truth comes from."""
         ...
 
     @property
-    def reader(self) -> Poses:
+    def reader(self) -> FrameReader:
         """What moves and sees the head in each source frame."""
         ...
 
 
 @dataclass(frozen=True)
-class Job:
+class PredictionTask:
     """What to predict, and what makes files of an earlier call reusable.
 
     Attributes:
@@ -81,7 +81,7 @@ class Job:
     """
 
     frames: tuple[int, ...]
-    truth: Truth
+    truth: GroundTruth
     identity: dict[str, Any]
 
     def described(self) -> dict[str, Any]:
@@ -117,10 +117,10 @@ def predict(
         InputError: Not a run, a split the capture does not have, or test frames that the run was trained on.
     """
     run = open_run(run_folder, device, step)
-    return predict_frames(run, job_of(run, protocol), folder, progress)
+    return predict_frames(run, prediction_task(run, protocol), folder, progress)
 
 
-def job_of(run: Run, protocol: Protocol) -> Job:
+def prediction_task(run: Run, protocol: Protocol) -> PredictionTask:
     """What a protocol asks of a run; `InputError` if the run was trained on frames that the protocol tests."""
     own = protocol.split in (GIVEN, run.config.split)
     frames = run.split.test if own else choose_split(run.capture, protocol.split)[1].test
@@ -132,7 +132,7 @@ def job_of(run: Run, protocol: Protocol) -> Job:
             f"--split {protocol.split}, or score with the split it was trained for"
         )
     red, green, blue = run.background.tolist() if protocol.background_rgb is None else protocol.background_rgb
-    truth = Truth((red, green, blue), protocol.size, protocol.mask == "binary")
+    truth = GroundTruth((red, green, blue), protocol.size, protocol.mask == "binary")
     identity = {
         "subject": run.capture.subject,
         "method": run.method,
@@ -141,7 +141,7 @@ def job_of(run: Run, protocol: Protocol) -> Job:
         "split": run.config.split if own else protocol.split,
         "fps": run.capture.fps,
     }
-    return Job(tuple(frames), truth, identity)
+    return PredictionTask(tuple(frames), truth, identity)
 
 
 def _digest(run: Run) -> str:
@@ -152,7 +152,9 @@ def _digest(run: Run) -> str:
     return str(json.loads(record.read_text(encoding="utf-8"))["sha256"])
 
 
-def predict_frames(run: Renderable, job: Job, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
+def predict_frames(
+    run: Renderable, job: PredictionTask, folder: Path, progress: Progress | None = None
+) -> dict[str, Any]:
     """Write `predictions/`, `ground_truth/` and `masks/` as 8-bit PNG named by source frame number, and `predict.json`.
 
     Files of an earlier call for the same job are kept, so an interrupted call continues where it was.
@@ -207,7 +209,7 @@ def _done(folder: Path, frame: int) -> bool:
     return all(frame_file(folder / name, frame).is_file() for name in FOLDERS)
 
 
-def _claimed(folder: Path, job: Job) -> dict[str, Any]:
+def _claimed(folder: Path, job: PredictionTask) -> dict[str, Any]:
     """Make the folder ours, or check that it already is, and return its summary so far."""
     path = folder / SUMMARY
     if path.is_file():
@@ -227,7 +229,7 @@ def _claimed(folder: Path, job: Job) -> dict[str, Any]:
     return summary
 
 
-def _matching(path: Path, job: Job) -> dict[str, Any]:
+def _matching(path: Path, job: PredictionTask) -> dict[str, Any]:
     """The summary at `path`, if it was written for this job."""
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))

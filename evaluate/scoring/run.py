@@ -14,8 +14,8 @@ from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
-from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
-from evaluate.scoring.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
+from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
+from evaluate.scoring.predict import FOLDERS, SUMMARY, PredictionTask, predict_frames, prediction_task
 from evaluate.scoring.region_masks import write_region_masks
 from evaluate.scoring.score import OFF, face_metrics, learned_metrics, score, unavailable
 from ggavatar.data.splits import split_name
@@ -47,9 +47,9 @@ def evaluate_run(
     """
     device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
     run = _open(folder, options, device)
-    protocol = fitted(options.base_protocol(run.config.split), run)
+    protocol = at_capture_resolution(options.base_protocol(run.config.split), run)
     listed = split_name(run.config.split) == protocol.split == "file"
-    job = job_of(run, protocol.override(split=GIVEN) if listed else protocol)
+    job = prediction_task(run, protocol.override(split=GIVEN) if listed else protocol)
     home = run.folder / "eval" / protocol.id
     folders = model_folders(options.models)
     learned = None if options.no_learned else learned_metrics(protocol, folders)
@@ -71,14 +71,14 @@ def evaluate_run(
 def _open(folder: Path, options: Options, device: str) -> Run:
     """A run, or a file of Gaussians seen by the capture that the options name, tested by their split."""
     if is_gaussian_file(folder):
-        return open_file(folder, options.source, options.base_protocol(DEFAULT_SPLIT).split, device)
+        return open_gaussian_file(folder, options.source, options.base_protocol(DEFAULT_SPLIT).split, device)
     refuse_file_flags(folder, options.source)
     read_config(folder)
     moved = options.source.capture
     return open_run(folder, device) if moved is None else open_run(folder, device, capture=moved)
 
 
-def fitted(protocol: Protocol, run: Run) -> Protocol:
+def at_capture_resolution(protocol: Protocol, run: Run) -> Protocol:
     """The protocol at a resolution the capture has: truth is never enlarged nor distorted, and the id says so."""
     own = run.capture.width, run.capture.height
     if protocol.size is None:
@@ -90,7 +90,7 @@ def fitted(protocol: Protocol, run: Run) -> Protocol:
     return protocol
 
 
-def _is_stale(home: Path, job: Job) -> bool:
+def _is_stale(home: Path, job: PredictionTask) -> bool:
     """Whether the folder holds predictions of another checkpoint or by other rules."""
     path = home / SUMMARY
     return path.is_file() and _read(path).get("key") != job.key()

@@ -15,10 +15,10 @@ import numpy as np
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.metrics.per_frame import measure_pixels
-from evaluate.metrics.regions import boundary_band, painted_outside
+from evaluate.metrics.regions import boundary_band, fill_outside
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
-from evaluate.scoring.accumulator import Gathering, Labels, Scored
+from evaluate.scoring.accumulator import Accumulator, FrameScores, Labels
 from evaluate.scoring.frame_pairs import FramePair
 from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
@@ -74,9 +74,9 @@ def score(
             f"protocol {protocol.id} measures inside {protocol.region!r}; give masks of it with --region-masks DIR "
             f"(DIR/{protocol.region}/000123.png)"
         )
-    gathering = Gathering(protocol)
+    gathering = Accumulator(protocol)
 
-    def work(pair: FramePair) -> Scored:
+    def work(pair: FramePair) -> FrameScores:
         return score_pair(pair, protocol, perceptual, faces)
 
     for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, os.cpu_count() or 1)), start=1):
@@ -112,13 +112,13 @@ def learned_metrics(protocol: Protocol, folders: Sequence[Path]) -> Perceptual |
     names = learned_names(protocol)
     reasons = {name: find_lpips(name.removeprefix("lpips_").removesuffix("_unit_range"), folders) for name in names}
     if all(isinstance(reason, str) for reason in reasons.values()):
-        return NothingLearned({name: str(reason) for name, reason in reasons.items()})
+        return UnavailableLearnedMetrics({name: str(reason) for name, reason in reasons.items()})
     from evaluate.metrics.lpips import PerceptualMetrics
 
     return PerceptualMetrics(names, folders)
 
 
-class NothingLearned:
+class UnavailableLearnedMetrics:
     """Stands in for learned metrics where there are no weights at all."""
 
     def __init__(self, missing: dict[str, str]) -> None:
@@ -132,7 +132,7 @@ class NothingLearned:
 
 def score_pair(
     pair: FramePair, protocol: Protocol, perceptual: Perceptual | None = None, faces: FaceMetrics | None = None
-) -> Scored:
+) -> FrameScores:
     """Read and measure one frame; `InputError` names a file that cannot be used."""
     prediction = read_scored(pair.prediction, protocol.background_rgb)
     truth = read_scored(pair.truth, protocol.background_rgb)
@@ -154,7 +154,7 @@ def score_pair(
         values |= of_faces
     notes = tuple(dict.fromkeys(prediction.notes + truth.notes))
     foreground = (weights["foreground"] >= 0.5).astype(np.uint8) if "foreground" in weights else None
-    return Scored(pair.frame, values, images, foreground, hashes, notes, error)
+    return FrameScores(pair.frame, values, images, foreground, hashes, notes, error)
 
 
 def _inside(
@@ -165,7 +165,7 @@ def _inside(
         return images
     color = protocol.background_rgb or (0.0, 0.0, 0.0)
     inside = weights[protocol.region]
-    return painted_outside(images[0], inside, color), painted_outside(images[1], inside, color)
+    return fill_outside(images[0], inside, color), fill_outside(images[1], inside, color)
 
 
 def _columns(protocol: Protocol) -> tuple[str, ...]:

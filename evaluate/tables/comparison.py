@@ -7,18 +7,18 @@ import statistics
 from collections.abc import Sequence
 
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.tables.study import Study
 from evaluate.tables.table import (
+    CellSource,
     Column,
     Row,
-    Source,
     Table,
-    marked_across,
-    marked_rows,
     missing_cell,
     number_cell,
+    rank_across,
+    rank_down,
 )
 
 
@@ -33,14 +33,14 @@ def metric_columns(metrics: Sequence[str], group: str = "") -> list[Column]:
 
 def subjects_table(study: Study) -> Table:
     """One row a subject, one group of columns a method, and the mean over the subjects that all methods have."""
-    columns = [column for method in study.methods for column in metric_columns(study.metrics, printed(method))]
+    columns = [column for method in study.methods for column in metric_columns(study.metrics, display_name(method))]
     rows = []
     for subject in study.subjects:
         cells = [study.cell(subject, method, metric) for method in study.methods for metric in study.metrics]
         rows.append(Row(subject, tuple(cells)))
     if len(rows) > 1:
         rows.append(_mean_row(study, rows, columns))
-    marked = tuple(marked_across(row, columns) for row in rows)
+    marked = tuple(rank_across(row, columns) for row in rows)
     return Table(
         "comparison", caption(study), "Metrics", tuple(columns), marked, notes(study), protocol=study.protocol.id
     )
@@ -58,7 +58,7 @@ def _mean_row(study: Study, rows: Sequence[Row], columns: Sequence[Column]) -> R
             cells.append(missing_cell("no subject has this metric for every method"))
             continue
         method, metric = study.methods[place // len(study.metrics)], study.metrics[place % len(study.metrics)]
-        source = Source("mean", tuple(row.label for row in complete), (method,), metric)
+        source = CellSource("mean", tuple(row.label for row in complete), (method,), metric)
         cells.append(number_cell(statistics.fmean(values), column.digits, source))
     size = f"{min(counts)}–{max(counts)}" if len(counts) > 1 else str(counts.pop())
     return Row(f"mean of {size}", tuple(cells), rule=True)
@@ -72,7 +72,7 @@ def ablation_table(study: Study) -> Table:
     several = len(study.subjects) > 1
     rows = [
         Row(
-            printed(method),
+            display_name(method),
             tuple(study.cell(subject, method, metric) for metric in study.metrics),
             section=subject if several else "",
             rule=method == full,
@@ -84,7 +84,7 @@ def ablation_table(study: Study) -> Table:
     where = "" if several else f" on {study.subjects[0]}"
     words = f"Ablation study{where}. {caption(study)}"
     table = Table("ablation", words, "Methods", columns, tuple(rows), notes(study), protocol=study.protocol.id)
-    return marked_rows(table)
+    return rank_down(table)
 
 
 def caption(study: Study) -> str:
@@ -111,7 +111,7 @@ def notes(study: Study) -> tuple[str, ...]:
             found.append(
                 f"{subject}: the methods were scored against different ground truths or frames; do not rank them."
             )
-    found += [f"{e.subject}, {printed(e.method)}: {note}" for e in study.evaluations for note in e.notes]
+    found += [f"{e.subject}, {display_name(e.method)}: {note}" for e in study.evaluations for note in e.notes]
     return tuple(dict.fromkeys(found))
 
 
@@ -139,5 +139,7 @@ def _identical_notes(study: Study) -> list[str]:
     for e in study.evaluations:
         count = sum(value is not None and math.isinf(value) for value in e.values.get("psnr", ()))
         if 0 < count < len(e.frames):
-            found.append(f"{e.subject}, {printed(e.method)}: {count} identical frames are not part of the mean PSNR.")
+            found.append(
+                f"{e.subject}, {display_name(e.method)}: {count} identical frames are not part of the mean PSNR."
+            )
     return found

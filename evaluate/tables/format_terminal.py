@@ -22,7 +22,7 @@ def show(table: Table, console: Console) -> None:
     """Print a table with its notes. A table wider than the console is printed in several parts, never cut off."""
     colors = console.color_system is not None and not console.no_color
     console.print(Text(table.caption, style="bold"))
-    for places in parts(table, console.width):
+    for places in column_chunks(table, console.width):
         console.print(_drawn(table, places, colors))
     if not colors and any(cell.mark for row in table.rows for cell in row.cells):
         console.print("* best  ' second", highlight=False)
@@ -31,7 +31,7 @@ def show(table: Table, console: Console) -> None:
     console.print()
 
 
-def parts(table: Table, width: int) -> list[list[int]]:
+def column_chunks(table: Table, width: int) -> list[list[int]]:
     """Columns by part: as many as fit into a width, columns of one group together where a group fits at all."""
     labels = [table.corner, *(row.label for row in table.rows), *(row.section for row in table.rows)]
     room = width - max(map(cell_len, labels)) - EDGES

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.tables.comparison import ablation_table, subjects_table
 from evaluate.tables.study import Study
-from evaluate.tables.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
+from evaluate.tables.table import Column, Row, Table, missing_cell, number_cell, rank_across, rank_down
 
 OURS = "Ours"
 PAPER = Path(__file__).with_name("paper.csv")
@@ -59,7 +59,7 @@ def paper_table_2() -> Table:
         for row in rows
     ]
     columns, caption = tuple(_columns("")), "Ablation study on ID 1."
-    return marked_rows(Table("paper-2", caption, "Methods", columns, tuple(drawn), (UNSTATED,)))
+    return rank_down(Table("paper-2", caption, "Methods", columns, tuple(drawn), (UNSTATED,)))
 
 
 def with_paper(study: Study) -> Table:
@@ -67,7 +67,10 @@ def with_paper(study: Study) -> Table:
     table = subjects_table(study)
     published = [row for row in read_paper() if row.table == 1]
     theirs = {_ours(row.method): row for row in published}
-    methods = (*map(printed, study.methods), *(name for name in theirs if name not in set(map(printed, study.methods))))
+    methods = (
+        *map(display_name, study.methods),
+        *(name for name in theirs if name not in set(map(display_name, study.methods))),
+    )
     width = len(study.metrics)
     titles = table.columns[:width]
     columns = [dataclasses.replace(column, group=method) for method in methods for column in titles]
@@ -105,7 +108,7 @@ def _paper_rows(
                 known = metric in numbers
                 reason = "not in the paper's table"
                 cells.append(number_cell(numbers[metric], digits[metric]) if known else missing_cell(reason))
-        rows.append(marked_across(Row(subject, tuple(cells), SECTION), columns))
+        rows.append(rank_across(Row(subject, tuple(cells), SECTION), columns))
     return rows
 
 
@@ -114,7 +117,7 @@ def _rows(rows: Sequence[Published], methods: Sequence[str], columns: Sequence[C
     for subject in dict.fromkeys(row.subject for row in rows):
         numbers = {row.method: row.numbers for row in rows if row.subject == subject}
         cells = tuple(number_cell(numbers[method][n], d) for method in methods for n, _, _, d in METRICS)
-        found.append(marked_across(Row(subject, cells), columns))
+        found.append(rank_across(Row(subject, cells), columns))
     return found
 
 

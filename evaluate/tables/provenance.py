@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
 from evaluate.tables.study import Study
 from evaluate.tables.table import Cell, Column, Row, Table, missing_cell
@@ -26,7 +26,7 @@ def sources_table(study: Study) -> Table:
 
 
 def _label(run: Evaluation) -> str:
-    return f"{run.subject} · {printed(run.method)}" + ("" if run.seed is None else f", seed {run.seed}")
+    return f"{run.subject} · {display_name(run.method)}" + ("" if run.seed is None else f", seed {run.seed}")
 
 
 def _cells(run: Evaluation) -> tuple[Cell, ...]:

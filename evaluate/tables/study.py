@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evaluate.metrics.catalogue import metric_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
 from evaluate.protocols.statistics import deviation_over_seeds
 from evaluate.tables.table import (
     IDENTICAL,
     Cell,
-    Source,
+    CellSource,
     missing_cell,
     number_cell,
 )
@@ -55,11 +55,11 @@ class Study:
         """Mean over frames, then over seeds; `±` is the deviation over seeds."""
         runs = self.runs(subject, method)
         if not runs:
-            return missing_cell(f"{printed(method)} was not evaluated on {subject}")
+            return missing_cell(f"{display_name(method)} was not evaluated on {subject}")
         summaries = [run.summary(metric) for run in runs]
         means = [summary.mean for summary in summaries if summary.mean is not None]
         if len(means) == len(runs):
-            source = Source("mean", (subject,), (method,), metric)
+            source = CellSource("mean", (subject,), (method,), metric)
             return number_cell(statistics.fmean(means), metric_of(metric).digits, source, deviation_over_seeds(means))
         if all(summary.identical for summary in summaries):
             return Cell(IDENTICAL, reason="all renders equal the ground truth; PSNR is infinite")

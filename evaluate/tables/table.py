@@ -15,7 +15,7 @@ IDENTICAL = "identical"
 
 
 @dataclass(frozen=True)
-class Source:
+class CellSource:
     """What a number was computed from, so that anyone can compute it again (`examples/recompute_table.py`).
 
     Attributes:
@@ -52,7 +52,7 @@ class Cell:
     deviation: Value = None
     mark: str = ""
     reason: str = ""
-    source: Source | None = None
+    source: CellSource | None = None
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Table:
         return dataclasses.asdict(self)
 
 
-def number_cell(value: float, digits: int, source: Source | None = None, deviation: Value = None) -> Cell:
+def number_cell(value: float, digits: int, source: CellSource | None = None, deviation: Value = None) -> Cell:
     """A number with its decimals, and the deviation over seeds behind `±`."""
     text = f"{value:.{digits}f}"
     return Cell(text if deviation is None else f"{text} ± {deviation:.{digits}f}", value, deviation, source=source)
@@ -138,7 +138,7 @@ def missing_cell(reason: str) -> Cell:
     return Cell(DASH, reason=reason)
 
 
-def ranks(cells: Sequence[Cell], higher_is_better: bool, digits: int) -> list[str]:
+def rank_marks(cells: Sequence[Cell], higher_is_better: bool, digits: int) -> list[str]:
     """Marks of competing cells: best and second by the rounded numbers, so that what prints alike is marked alike.
 
     Identical images (infinite PSNR) beat every number. With fewer than two competitors nothing is marked.
@@ -161,15 +161,15 @@ def _key(cell: Cell, higher_is_better: bool, digits: int) -> Value:
     return rounded if higher_is_better else -rounded
 
 
-def marked(cells: Sequence[Cell], column: Column) -> list[Cell]:
+def with_marks(cells: Sequence[Cell], column: Column) -> list[Cell]:
     """Competing cells of equal columns with their marks; unchanged if the column is not ranked."""
     if column.higher_is_better is None:
         return list(cells)
-    names = ranks(cells, column.higher_is_better, column.digits)
+    names = rank_marks(cells, column.higher_is_better, column.digits)
     return [dataclasses.replace(cell, mark=name) for cell, name in zip(cells, names, strict=True)]
 
 
-def marked_rows(table: Table) -> Table:
+def rank_down(table: Table) -> Table:
     """Rank down the columns within each section, as in the paper's Table 2."""
     columns = list(zip(*(row.cells for row in table.rows), strict=True))
     sections = [row.section for row in table.rows]
@@ -178,7 +178,7 @@ def marked_rows(table: Table) -> Table:
         ranked = list(cells)
         for section in dict.fromkeys(sections):
             places = [k for k, name in enumerate(sections) if name == section]
-            for place, cell in zip(places, marked([cells[k] for k in places], column), strict=True):
+            for place, cell in zip(places, with_marks([cells[k] for k in places], column), strict=True):
                 ranked[place] = cell
         grid.append(ranked)
     rows = [
@@ -188,11 +188,11 @@ def marked_rows(table: Table) -> Table:
     return dataclasses.replace(table, rows=tuple(rows))
 
 
-def marked_across(row: Row, columns: Sequence[Column]) -> Row:
+def rank_across(row: Row, columns: Sequence[Column]) -> Row:
     """Rank the groups of one row against each other, title by title, as in the paper's Table 1."""
     cells = list(row.cells)
     for title in dict.fromkeys(column.title for column in columns):
         places = [k for k, column in enumerate(columns) if column.title == title]
-        for place, cell in zip(places, marked([cells[k] for k in places], columns[places[0]]), strict=True):
+        for place, cell in zip(places, with_marks([cells[k] for k in places], columns[places[0]]), strict=True):
             cells[place] = cell
     return dataclasses.replace(row, cells=tuple(cells))

@@ -16,12 +16,12 @@ import pytest
 
 from evaluate.cli.evaluate import main
 from evaluate.figures.curves import curves, write_curves
-from evaluate.figures.evaluation_images import Shown, names_of, worst_frames
+from evaluate.figures.evaluation_images import EvaluationImages, display_names, worst_frames
 from evaluate.figures.report import report_data, write_report
 from evaluate.figures.report_images import report_pictures
-from evaluate.figures.worst_frames import worst_sheet
+from evaluate.figures.worst_frames import worst_frames_sheet
 from evaluate.figures.write import write_studies, write_visuals
-from evaluate.protocols.protocol import named
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.protocols.results import Evaluation, write_results
 from evaluate.scoring.frame_files import frame_file
 from ggavatar.errors import InputError
@@ -58,7 +58,7 @@ def parsed(path: Path) -> Page:
     return page
 
 
-def shown(folder: Path, method: str, level: int, subject: str = "toy", seed: int | None = None) -> Shown:
+def shown(folder: Path, method: str, level: int, subject: str = "toy", seed: int | None = None) -> EvaluationImages:
     """Frames of noise, with an error that grows towards the last frame; the first frame is identical."""
     random = np.random.default_rng(1)
     psnr: list[float | None] = []
@@ -69,13 +69,13 @@ def shown(folder: Path, method: str, level: int, subject: str = "toy", seed: int
         write_png(frame_file(home / "ground_truth", frame), truth)
         write_png(frame_file(home / "predictions", frame), truth + np.uint8(offset))
         psnr.append(20 * math.log10(255 / offset) if offset else math.inf)
-    protocol = named("folders").override(metrics=("psnr", "ssim"), table_metrics=("psnr", "ssim"))
+    protocol = protocol_by_name("folders").override(metrics=("psnr", "ssim"), table_metrics=("psnr", "ssim"))
     values = {"psnr": tuple(psnr), "ssim": (None,) * len(FRAMES)}
     evaluation = Evaluation(
         subject, method, protocol, FRAMES, values, seed, {"ssim": "not measured"}, {"ground_truth": "aa"}
     )
     write_results(evaluation, home)
-    return Shown.in_folder(evaluation, home)
+    return EvaluationImages.in_folder(evaluation, home)
 
 
 def test_the_page_refers_to_nothing_outside_itself(tmp_path: Path) -> None:
@@ -136,7 +136,9 @@ def test_reports_do_not_mix_subjects_or_protocols(tmp_path: Path) -> None:
 
 def test_labels_are_distinct_and_worst_frames_ordered(tmp_path: Path) -> None:
     one, two = shown(tmp_path, "ours", 3, seed=1), shown(tmp_path, "ours", 4, seed=2)
-    assert names_of([one, two]) == ["ours (seed 1)", "ours (seed 2)"] and names_of([one, one])[1].endswith("#2")
+    assert display_names([one, two]) == ["ours (seed 1)", "ours (seed 2)"] and display_names([one, one])[1].endswith(
+        "#2"
+    )
     assert worst_frames([one], 3) == [220, 200, 180] and worst_frames([one], 99)[-1] == 0
     assert worst_frames([one], 3, "ssim") == []
 
@@ -149,7 +151,7 @@ def test_curves_and_worst_sheet(tmp_path: Path) -> None:
     assert np.isnan(drawn[0]) and drawn[1] == one.evaluation.values["psnr"][1]
     write_curves(tmp_path / "curves.png", [one, two])
     assert read_rgb(tmp_path / "curves.png").shape[1] > 1000
-    assert worst_sheet(one, count=3, width=64).shape[1] > 3 * 64
+    assert worst_frames_sheet(one, count=3, width=64).shape[1] > 3 * 64
 
 
 def test_identical_and_unmeasured_frames_can_be_drawn(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from skimage.data import astronaut
 
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
-from evaluate.protocols.protocol import named
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import score
@@ -126,7 +126,7 @@ def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path
         write(tmp_path / "gt" / f"{frame}.png", portrait)
         write(tmp_path / "pred" / f"{frame}.png", portrait if frame != 1 else np.full_like(portrait, 255))
     pairs = pair_folders(tmp_path / "pred", tmp_path / "gt")
-    protocol = named("folders").override(metrics=FACES, table_metrics=FACES[:1])
+    protocol = protocol_by_name("folders").override(metrics=FACES, table_metrics=FACES[:1])
     found = score(pairs, protocol, Labels("a", "b"), faces=FaceMetrics(FACES, [networks]))
     assert [value is None for value in found.values["landmark_distance"]] == [False, True, False, False, False]
     assert [value is None for value in found.values["landmark_jitter"]] == [True, True, True, True, False]

@@ -12,7 +12,7 @@ import torch
 
 from evaluate.cli import evaluate as cli
 from evaluate.cli import render as render_cli
-from evaluate.rendering.standalone_file import extent, open_alone
+from evaluate.rendering.standalone_file import extent, open_standalone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
@@ -101,7 +101,7 @@ def _one_ball() -> Gaussians:
 def test_orbit_without_a_capture(
     plain: Path, bound: Path, capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("evaluate.rendering.standalone_file.SIDE", 64)
+    monkeypatch.setattr("evaluate.rendering.standalone_file.IMAGE_SIDE", 64)
     orbit = ("--orbit", "--views", 3)
     assert render(monkeypatch, plain, *orbit) == 0
     folder = tmp_path / "baked" / "renders" / "orbit"
@@ -123,8 +123,8 @@ def test_front_camera_sees_the_face_upright(tmp_path: Path) -> None:
         torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
     )
     write_gaussian_ply(tmp_path / "balls.ply", stored(balls))
-    file = open_alone(tmp_path / "balls.ply", GaussianFileOptions(), "cpu", "reference")
-    drive, view, center = file.front()
+    file = open_standalone(tmp_path / "balls.ply", GaussianFileOptions(), "cpu", "reference")
+    drive, view, center = file.front_view()
     assert float(center.abs().max()) < 0.01 and extent(balls)[1] == pytest.approx(0.096 + 0.04, abs=1e-3)
     image = rasterize(file.avatar.gaussians(drive), view.resized(64, 64), torch.zeros(3)).image
     assert image[:32].mean((0, 1)).argmax() == 1 and image[32:].mean((0, 1)).argmax() == 0

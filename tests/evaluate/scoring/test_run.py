@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from evaluate.options import Options, Override
-from evaluate.protocols.protocol import named
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring import run as run_evaluation
 from evaluate.scoring.region_masks import frame_regions, write_region_masks
-from evaluate.scoring.run import evaluate_run, fitted
+from evaluate.scoring.run import at_capture_resolution, evaluate_run
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.training.run_folder import Run
@@ -110,10 +110,10 @@ def test_the_protocol_follows_the_split_of_the_run(split: str, protocol: str) ->
 
 
 def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
-    paper = named("paper")
-    assert fitted(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
+    paper = protocol_by_name("paper")
+    assert at_capture_resolution(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
     halved = paper.override(resolution=f"{WIDTH // 2}x{HEIGHT // 2}")
-    assert fitted(halved, run) == halved
+    assert at_capture_resolution(halved, run) == halved
     assert fitted(paper.override(resolution="16x16"), run).size == (WIDTH, HEIGHT)
     assert fitted(paper.override(resolution="native"), run).size is None
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from evaluate.metrics import pixels, ssim
-from evaluate.protocols.protocol import Protocol, named
+from evaluate.protocols.protocol import Protocol, protocol_by_name
 from evaluate.protocols.results import read_results, write_results
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
@@ -26,7 +26,9 @@ LABELS = Labels("Anna", "ours", seed=3)
 
 def plain(**changes: object) -> Protocol:
     """A protocol without learned metrics."""
-    return named("folders").override(**{"metrics": ("psnr", "ssim"), "table_metrics": ("psnr", "ssim"), **changes})
+    return protocol_by_name("folders").override(
+        **{"metrics": ("psnr", "ssim"), "table_metrics": ("psnr", "ssim"), **changes}
+    )
 
 
 def test_values_are_those_of_the_single_functions(tmp_path: Path) -> None:

@@ -32,14 +32,14 @@ class Cameras:
         """Some of the frames."""
         return Cameras(self.world_to_camera[chosen], self.intrinsics[chosen], self.size)
 
-    def metres_across(self) -> float:
+    def view_width(self) -> float:
         """Width of what the first frame's picture shows at the distance of the head, m."""
         depth = max(abs(float(self.world_to_camera[0, 2, 3])), 1e-6)
         return depth * self.size[0] / float(self.intrinsics[0, 0, 0])
 
 
 @dataclass(frozen=True)
-class Motion:
+class DrivingSequence:
     """T frames of head parameters and, where known, cameras.
 
     Attributes:
@@ -64,7 +64,7 @@ class Motion:
     joint_names: tuple[str, ...]
     head_version: str
 
-    def rows(self, chosen: np.ndarray | slice) -> Motion:
+    def rows(self, chosen: np.ndarray | slice) -> DrivingSequence:
         """Some of the frames."""
         return dataclasses.replace(
             self,
@@ -83,11 +83,11 @@ class Motion:
         return self.frames.index(frame)
 
 
-def motion_of(capture: Capture) -> Motion:
+def driving_sequence_of(capture: Capture) -> DrivingSequence:
     """The tracked performance of a capture."""
     tracking = capture.tracking
     names = read_npz(capture.head_path, ["joint_names"])["joint_names"]
-    return Motion(
+    return DrivingSequence(
         expression=tracking.expression.astype(np.float64),
         joint_rotations=tracking.joint_rotations.astype(np.float64),
         eyelids=tracking.eyelids.astype(np.float64),
@@ -104,14 +104,14 @@ def motion_of(capture: Capture) -> Motion:
     )
 
 
-def read_motion(path: Path) -> Motion:
+def read_driving_sequence(path: Path) -> DrivingSequence:
     """A performance from a capture folder or from an npz file (docs/rendering.md).
 
     Raises:
         InputError: It is neither, or an array is missing, of the wrong shape or not finite.
     """
     if path.is_dir():
-        return motion_of(Capture.open(path))
+        return driving_sequence_of(Capture.open(path))
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: expected a capture folder or an .npz of head parameters to drive with")
     arrays = read_npz(path)
@@ -121,7 +121,7 @@ def read_motion(path: Path) -> Motion:
         raise InputError(f"{path}: expected 'version' with the tag of the head, such as flame2020, found no such array")
     if "joint_rotations" in arrays and not names:
         raise InputError(f"{path}: expected 'joint_names' beside 'joint_rotations', found none; add them, root first")
-    return Motion(
+    return DrivingSequence(
         expression=_array(path, arrays, "expression", (None, None)),
         joint_rotations=_array(path, arrays, "joint_rotations", (count, len(names), 3)),
         eyelids=_array(path, arrays, "eyelids", (count, 2)),
