@@ -1,4 +1,4 @@
-"""What ggavatar-render draws: the views of a split, an orbit or a performance, and the figure that goes with each."""
+"""What ggavatar-render renders: the views of a split, an orbit or a driving sequence, and the figure for each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from evaluate.motion.transfer import TransferOptions, neutral_row, transfer_perf
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
-from evaluate.rendering.views import CUTOUTS, FRAMES, VIDEO, Output, View, claim_folder, method_of_renders, render_views
+from evaluate.rendering.views import FRAMES, RGBA, VIDEO, Output, View, claim_folder, method_of_output, render_views
 from evaluate.scoring.frame_files import find_frame
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
 from evaluate.scoring.ground_truth import Color, GroundTruth
@@ -32,51 +32,55 @@ from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_rgb, write_png
+from ggavatar.render.backends import resolve_device
 from ggavatar.training.run_folder import Run, open_run
 
 if TYPE_CHECKING:
     from evaluate.rendering.options import Options
 
 COLUMNS = 6
-FPS = 25.0
-"""Of an orbit around a file without a capture."""
+"""Frames in the reenactment figure."""
+DEFAULT_FPS = 25.0
+"""Frame rate of an orbit around a file without a capture."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RenderPlan:
-    """What to draw.
+    """What to render.
 
     Attributes:
-        name: Of the folder under RUN/renders.
-        views: In order.
-        fps: Of the video, pictures per second.
-        figure: Writes the figure once the views are drawn, given the output folder; returns its path, or None.
+        name: Name of the folder under RUN/renders.
+        views: Views in order.
+        fps: Frames per second of the video.
+        write_figure: Writes the figure once the views are rendered, and returns its path, or None without a figure.
     """
 
     name: str
     views: Sequence[View]
     fps: float
-    figure: Callable[[Output], Path | None]
+    write_figure: Callable[[Output], Path | None]
 
 
 def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]:
-    """Do what the options say and return the paths written: folder, video, figure."""
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
-    run = _open(options, device)
+    """Render what the options ask for and return the paths written: folders, video, figure.
+
+    Raises:
+        InputError: Options, run or output folder cannot be used, or the device is not available.
+    """
+    run = _open(options, resolve_device(options.device))
     background = _background(options, run)
-    shot = (
-        _orbit_alone(options, run, background)
-        if isinstance(run, StandaloneGaussians)
-        else _shot(options, run, background)
-    )
-    views = [_sized(view, options.width) for view in _part(shot.views, options.frames)]
-    folder = options.output_dir or run.folder / "renders" / shot.name
-    fps = (options.fps or shot.fps) if options.video else None
+    if isinstance(run, StandaloneGaussians):
+        plan = _orbit(options, run, run.front_view(), DEFAULT_FPS, background)
+    else:
+        plan = _plan(options, run, background)
+    views = [_with_width(view, options.width) for view in _selected(plan.views, options.frames)]
+    folder = options.output_dir or run.folder / "renders" / plan.name
+    fps = (options.fps or plan.fps) if options.video else None
     output = Output(folder, background, fps, options.alpha)
     claim_folder(output, _content(options, run), options.overwrite, options.resume)
     render_views(run.avatar, run.rasterize, views, output, progress)
-    wanted = {FRAMES: True, CUTOUTS: options.alpha, VIDEO: options.video}
-    figure = shot.figure(output)
+    wanted = {FRAMES: True, RGBA: options.alpha, VIDEO: options.video}
+    figure = plan.write_figure(output)
     return [folder / name for name, is_there in wanted.items() if is_there] + ([figure] if figure else [])
 
 
@@ -92,42 +96,38 @@ def _open(options: Options, device: str) -> Run | StandaloneGaussians:
     return open_run(options.run, device, options.step, options.backend, *moved)
 
 
-def _shot(options: Options, run: Run, background: Color) -> RenderPlan:
+def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
     if options.drive is not None:
         return _driven(options, run, background)
     if options.orbit:
-        return _orbit(options, run, background)
+        return _orbit(options, run, _neutral_view(options, run), run.capture.fps, background)
     names = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
     frames = names[options.split]
     views = [View(frame, run.reader.drive(frame), run.reader.camera(frame)) for frame in frames]
     return RenderPlan(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
 
 
-def _orbit(options: Options, run: Run, background: Color) -> RenderPlan:
-    frame = run.capture.frames[_neutral(driving_sequence_of(run.capture), options.target_neutral)]
+def _neutral_view(options: Options, run: Run) -> tuple[Drive, Camera, Tensor]:
+    """Drive and camera of the neutral frame, and the center of the head, m."""
+    frame = run.capture.frames[_neutral_row(driving_sequence_of(run.capture), options.target_neutral)]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
-    around = drive, camera, head_center(_head(run), drive)
-    return _around(options, run, around, run.capture.fps, background)
+    return drive, camera, head_center(_head(run), drive)
 
 
-def _orbit_alone(options: Options, file: StandaloneGaussians, background: Color) -> RenderPlan:
-    return _around(options, file, file.front_view(), FPS, background)
-
-
-def _around(
+def _orbit(
     options: Options, run: Run | StandaloneGaussians, view: tuple[Drive, Camera, Tensor], fps: float, background: Color
 ) -> RenderPlan:
-    """An orbit that holds the drive, from a camera and about a point."""
+    """An orbit with a fixed drive, starting at a camera and about a point."""
     drive, camera, center = view
     angles = orbit_angles(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
     views = [View(index, drive, orbit_camera(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
 
-    def figure(output: Output) -> Path:
+    def write_figure(output: Output) -> Path:
         path = output.folder / "novel_views.png"
         write_png(path, novel_views(run.avatar, run.rasterize, view, background))
         return path
 
-    return RenderPlan("orbit", views, fps, figure)
+    return RenderPlan("orbit", views, fps, write_figure)
 
 
 def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
@@ -138,49 +138,45 @@ def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
         raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
     how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
     seen = target.rows(np.array([target.row(frame) for frame in run.split.train]))
-    moved = transfer_performance(
-        driver, _neutral(driver, options.neutral), seen, _neutral(seen, options.target_neutral), how
-    )
+    neutral_rows = _neutral_row(driver, options.neutral), _neutral_row(seen, options.target_neutral)
+    moved = transfer_performance(driver, neutral_rows[0], seen, neutral_rows[1], how)
     views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
 
-    def figure(output: Output) -> Path:
-        drawn = [view.number for view in _part(views, options.frames)]
-        chosen = [drawn[row] for row in representative_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
+    def write_figure(output: Output) -> Path:
+        frames = [view.number for view in _selected(views, options.frames)]
+        rows = np.array([driver.row(frame) for frame in frames])
+        chosen = [frames[row] for row in representative_rows(driver.rows(rows), COLUMNS)]
         path = output.folder / "reenactment.png"
-        results = _labelled(display_name(run.method), output.folder, options.beside)
-        rows = {
-            name: [read_rgb(find_frame(home / FRAMES, frame)) for frame in chosen] for name, home in results.items()
+        folders = _output_folders(display_name(run.method), output.folder, options.beside)
+        results = {
+            name: [read_rgb(find_frame(folder / FRAMES, frame)) for frame in chosen] for name, folder in folders.items()
         }
         captions = [f"frame {frame}" for frame in chosen]
-        write_png(path, reenactment(_driver_pictures(source, chosen, background), rows, captions))
+        write_png(path, reenactment(_driver_images(source, chosen, background), results, captions))
         return path
 
-    return RenderPlan(f"drive-{source.stem}", views, driver.fps, figure)
+    return RenderPlan(f"drive-{source.stem}", views, driver.fps, write_figure)
 
 
-def _labelled(method: str, own: Path, folders: Sequence[Path]) -> dict[str, Path]:
-    """Our folder and those of earlier renders, by distinct names of methods."""
+def _output_folders(method: str, own: Path, folders: Sequence[Path]) -> dict[str, Path]:
+    """This output folder and earlier ones, by distinct method names."""
     found = {method: own}
     for folder in folders:
-        name = display_name(method_of_renders(folder))
+        name = display_name(method_of_output(folder))
         found[name if name not in found else f"{name} ({folder.name})"] = folder
     return found
 
 
-def _rows_of(motion: DrivingSequence, frames: Sequence[int]) -> np.ndarray:
-    return np.array([motion.row(frame) for frame in frames])
-
-
-def _driver_pictures(source: Path, frames: Sequence[int], background: Color) -> list[np.ndarray]:
-    """The driver's own pictures, where it is a capture."""
+def _driver_images(source: Path, frames: Sequence[int], background: Color) -> list[np.ndarray]:
+    """The driver's own images, if it is a capture."""
     if not source.is_dir():
         return []
     capture = Capture.open(source)
-    return [GroundTruth(background).of(capture, frame)[0] for frame in frames]
+    return [GroundTruth(background).image_and_mask(capture, frame)[0] for frame in frames]
 
 
-def _neutral(motion: DrivingSequence, frame: int | None) -> int:
-    return neutral_row(motion) if frame is None else motion.row(frame)
+def _neutral_row(sequence: DrivingSequence, frame: int | None) -> int:
+    return neutral_row(sequence) if frame is None else sequence.row(frame)
 
 
 def _head(run: Run) -> HeadModel:
@@ -194,8 +190,8 @@ def _background(options: Options, run: Run | StandaloneGaussians) -> Color:
     return Protocol("render", background=options.background).background_rgb or (red, green, blue)
 
 
-def _part(views: Sequence[View], part: str | None) -> Sequence[View]:
-    """The views that START:STOP:STEP selects; `InputError` if it is not of that form or selects none."""
+def _selected(views: Sequence[View], part: str | None) -> Sequence[View]:
+    """The views selected by START:STOP:STEP; `InputError` if it is malformed or selects none."""
     if part is None:
         return views
     try:
@@ -208,16 +204,15 @@ def _part(views: Sequence[View], part: str | None) -> Sequence[View]:
     return chosen
 
 
-def _sized(view: View, width: int | None) -> View:
+def _with_width(view: View, width: int | None) -> View:
     if width is None:
         return view
-    return view._replace(
-        camera=view.camera.resized(width, max(1, round(view.camera.height * width / view.camera.width)))
-    )
+    height = max(1, round(view.camera.height * width / view.camera.width))
+    return view._replace(camera=view.camera.resized(width, height))
 
 
 def _content(options: Options, run: Run | StandaloneGaussians) -> dict[str, Any]:
-    """What decides the pictures, as plain values: equal for equal pictures."""
+    """Everything that determines the images, as plain values; compared by --resume."""
     skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())

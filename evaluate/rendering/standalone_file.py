@@ -1,4 +1,4 @@
-"""A file of Gaussians without a capture: nothing is known but where they are, so the camera is put in front of them."""
+"""A file of Gaussians without a capture: only their positions are known, so the camera is placed in front of them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,29 @@ from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.geometry.transforms import look_at
 from ggavatar.render.backends import pick
 
-IMAGE_SIDE, FIELD_OF_VIEW, FILL_FRACTION, INNER_FRACTION = 512, math.radians(25), 0.8, 0.96
-"""Picture side (px), opening of the camera, share of the picture that is filled, by this share of the Gaussians."""
+IMAGE_SIDE = 512
+"""Width and height of the image, px."""
+FIELD_OF_VIEW = math.radians(25)
+FILL_FRACTION = 0.8
+"""Fraction of the image that the Gaussians fill."""
+INNER_FRACTION = 0.96
+"""Fraction of the Gaussians that determine the extent; the others are outliers."""
 MAX_POINTS_FOR_EXTENT = 1 << 20
-"""More Gaussians than this are thinned out to find their box."""
+"""The extent of more Gaussians than this is estimated from a subset."""
 
 
 @dataclass(frozen=True)
 class StandaloneGaussians:
-    """What drawing needs of a file of Gaussians.
+    """A file of Gaussians, opened for rendering without a capture.
 
     Attributes:
-        folder: Where results go.
-        subject: The file's name.
-        method: What kind of file it is.
+        folder: Folder of the results.
+        subject: Name of the file.
+        method: Kind of file.
         avatar: The Gaussians.
-        rasterize: The renderer.
-        background: sRGB.
-        provenance: Digest of the file.
+        rasterize: The rasterizer.
+        background: sRGB in [0, 1].
+        provenance: Path and digest of the file.
         step: Always 0.
     """
 
@@ -48,7 +53,7 @@ class StandaloneGaussians:
     step: int = 0
 
     def front_view(self) -> tuple[Drive, Camera, Float[Tensor, "3"]]:
-        """A neutral drive, a camera that sees all of it from the front (+Z), and the point it looks at, m."""
+        """A neutral drive, a camera that sees everything from the front (+Z), and the point it looks at, m."""
         drive = self._drive()
         center, radius = extent(self.avatar.gaussians(drive))
         distance = radius / (FILL_FRACTION * math.tan(FIELD_OF_VIEW / 2))
@@ -65,7 +70,7 @@ class StandaloneGaussians:
 
 
 def extent(gaussians: Gaussians) -> tuple[Float[Tensor, "3"], float]:
-    """Middle and half side, m, of the box around all but a few outlying Gaussians, two deviations wide."""
+    """Center and half side, m, of the box around all but a few outlying Gaussians, each two deviations wide."""
     visible = gaussians.opacities > 1 / 255
     rows = visible.nonzero()[:, 0] if bool(visible.any()) else torch.arange(len(visible), device=visible.device)
     rows, margin = rows[:: 1 + len(rows) // MAX_POINTS_FOR_EXTENT], (1 - INNER_FRACTION) / 2
@@ -78,7 +83,7 @@ def open_standalone(path: Path, source: GaussianFileOptions, device: str, backen
     """Open a file of Gaussians without a capture.
 
     Raises:
-        InputError: Not such a file, or it is bound to a head that was not given.
+        InputError: Not a file of Gaussians, or it is bound to a head that was not given.
     """
     avatar = open_gaussians(path, source, None, device)
     method = "GaussianAvatars file" if isinstance(avatar, BoundAvatar) else "3DGS file"

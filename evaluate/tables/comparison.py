@@ -1,4 +1,4 @@
-"""The main tables: subjects × methods × metrics as in the paper's Table 1, and one row a method as in its Table 2."""
+"""The main tables: subjects × methods × metrics as in the paper's Table 1, or one row per method as in its Table 2."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def metric_columns(metrics: Sequence[str], group: str = "") -> list[Column]:
 
 
 def subjects_table(study: Study) -> Table:
-    """One row a subject, one group of columns a method, and the mean over the subjects that all methods have."""
+    """One row per subject, one group of columns per method, and the mean over subjects that all methods have."""
     columns = [column for method in study.methods for column in metric_columns(study.metrics, display_name(method))]
     rows = []
     for subject in study.subjects:
@@ -47,11 +47,11 @@ def subjects_table(study: Study) -> Table:
 
 
 def _mean_row(study: Study, rows: Sequence[Row], columns: Sequence[Column]) -> Row:
-    """Mean over the rows in which every method has the metric."""
+    """Mean over the rows in which every method has a value."""
     cells, counts = [], set()
     for place, column in enumerate(columns):
-        rivals = [k for k, other in enumerate(columns) if other.title == column.title]
-        complete = [row for row in rows if all(row.cells[k].value is not None for k in rivals)]
+        competing = [k for k, other in enumerate(columns) if other.title == column.title]
+        complete = [row for row in rows if all(row.cells[k].value is not None for k in competing)]
         counts.add(len(complete))
         values = [v for row in complete if (v := row.cells[place].value) is not None]
         if not values:
@@ -65,7 +65,7 @@ def _mean_row(study: Study, rows: Sequence[Row], columns: Sequence[Column]) -> R
 
 
 def ablation_table(study: Study) -> Table:
-    """One row a method (or variant), one section a subject; the full method comes last, under a rule, as in Table 2."""
+    """One row per method or variant, one section per subject; the full method comes last, below a rule."""
     columns = tuple(metric_columns(study.metrics))
     full = min(study.methods, key=len)
     order = [*(method for method in study.methods if method != full), full]
@@ -88,7 +88,7 @@ def ablation_table(study: Study) -> Table:
 
 
 def caption(study: Study) -> str:
-    """What was measured, in one sentence."""
+    """Protocol and number of test frames, as a sentence."""
     return f"Protocol {study.protocol.id} (digest {study.protocol.digest[:12]}), {_frames(study)}."
 
 
@@ -98,7 +98,7 @@ def _frames(study: Study) -> str:
 
 
 def notes(study: Study) -> tuple[str, ...]:
-    """What a reader must know about the cells."""
+    """Notes on the cells: conditions, ranking, seeds, missing values."""
     found = [conditions(study.protocol)]
     found.append("Cells are means over test frames; best and second are marked per metric, ties after rounding shared.")
     if any(len(study.runs(s, m)) > 1 for s in study.subjects for m in study.methods):
@@ -116,25 +116,25 @@ def notes(study: Study) -> tuple[str, ...]:
 
 
 def conditions(protocol: Protocol) -> str:
-    """What a fair table must state, in one sentence."""
+    """The conditions of measurement and the metric definitions."""
     parts = [f"test frames {protocol.split}", f"background {protocol.background}", f"masks {protocol.mask}"]
     parts += [
         f"region {protocol.region}",
         f"size {protocol.resolution}",
-        "8-bit pictures, nothing fitted to test frames",
+        "8-bit images, nothing fitted to test frames",
     ]
     exact = [f"{title_of(name)}: {metric_of(name).definition}" for name in protocol.table_metrics]
     return f"{protocol.id}: {', '.join(parts)}. {'; '.join(exact)}."
 
 
 def missing_notes(study: Study, metrics: Sequence[str]) -> list[str]:
-    """Reasons of the dashes in a table of metrics, each once."""
+    """Reasons for the dashes in a table of metrics, each once."""
     found = [f"– {title_of(m)}: {e.missing[m]}." for e in study.evaluations for m in metrics if m in e.missing]
     return list(dict.fromkeys(found))
 
 
 def _identical_notes(study: Study) -> list[str]:
-    """Evaluations in which some frames, but not all, have an infinite PSNR."""
+    """Notes on evaluations in which some but not all frames have an infinite PSNR."""
     found = []
     for e in study.evaluations:
         count = sum(value is not None and math.isinf(value) for value in e.values.get("psnr", ()))

@@ -1,4 +1,4 @@
-"""The tables beside the main one: spread over frames and seeds, paired differences, and what a method costs."""
+"""Secondary tables: spread over frames and seeds, paired differences, and costs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SPREAD = (("mean", "mean"), ("median", "median"), ("worst_5_percent", "worst 5 %
 
 
 def detail_table(study: Study) -> Table:
-    """Every metric that was measured: one row per run and metric with mean, median, worst 5 % and deviations."""
+    """All measured metrics: one row per run and metric, with mean, median, worst 5 % and deviations."""
     columns = [Column("frames", digits=0), *(Column(title) for _, title in SPREAD), Column("σ seeds")]
     rows: list[Row] = []
     for subject in study.subjects:
@@ -37,7 +37,7 @@ def detail_table(study: Study) -> Table:
 
 
 def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Iterator[Row]:
-    """One row per run; the deviation over seeds stands in the first."""
+    """One row per run; the deviation over seeds is in the first."""
     means = [m for run in runs if (m := run.summary(metric).mean) is not None]
     over_seeds = deviation_over_seeds(means) if len(means) == len(runs) else None
     for place, run in enumerate(runs):
@@ -76,8 +76,8 @@ def significance_table(study: Study) -> Table | None:
     return Table("significance", caption, "Difference", columns, tuple(rows), notes, protocol=study.protocol.id)
 
 
-def paired(study: Study, first: str, second: str, metric: str) -> dict[str, tuple[list[int], list[float]]]:
-    """By subject the frames in which both methods have a finite value, and the differences there."""
+def paired_differences(study: Study, first: str, second: str, metric: str) -> dict[str, tuple[list[int], list[float]]]:
+    """By subject, the frames in which both methods have a finite value and the differences there."""
     groups = {}
     for subject in study.subjects:
         one, other = (_frame_means(study.runs(subject, method), metric) for method in (first, second))
@@ -88,7 +88,7 @@ def paired(study: Study, first: str, second: str, metric: str) -> dict[str, tupl
 
 
 def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
-    """Mean over the seeds of every frame that has a finite value in all runs."""
+    """Mean over seeds for every frame with a finite value in all runs."""
     columns = [dict(zip(run.frames, run.values.get(metric, ()), strict=False)) for run in runs]
     if not columns:
         return {}
@@ -102,7 +102,7 @@ def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
 
 
 def _difference_cell(study: Study, first: str, second: str, metric: str) -> Cell:
-    groups = paired(study, first, second, metric)
+    groups = paired_differences(study, first, second, metric)
     found = paired_bootstrap(list(groups.values()))
     if found is None:
         return missing_cell("no frame has this metric for both")
@@ -125,7 +125,7 @@ COSTS = (
 
 
 def efficiency_table(study: Study) -> Table | None:
-    """What rendering and training cost; None if no evaluation says so."""
+    """Costs of rendering and training; None if no evaluation recorded them."""
     known = [e for e in study.evaluations if e.efficiency]
     if not known:
         return None

@@ -10,19 +10,19 @@ from evaluate.tables.table import BEST, SECOND, Cell, Row, Table
 
 PREAMBLE = r"""% \usepackage[T1]{fontenc} \usepackage[utf8]{inputenc} \usepackage[table]{xcolor} \usepackage{graphicx}
 """
-"""The packages that a document needs which takes in our tables with \\input."""
+"""The packages that a document needs to include our tables with \\input."""
 
 WIDE = 6
-"""Columns beyond which a table goes over both columns of a page."""
+"""A table with more columns than this spans both columns of a page."""
 
 TALL = 45
-"""Rows beyond which a table is set as one table a section, so that none is taller than a page."""
+"""A table with more rows than this is split into one table per section, so that each fits on a page."""
 
 FITTED = (
     r"  \resizebox{\ifdim\width>\linewidth \linewidth\else\width\fi}{!}{%",
     r"  \resizebox*{!}{\ifdim\totalheight>0.75\textheight 0.75\textheight\else\totalheight\fi}{%",
 )
-"""Boxes that shrink what they hold to the width and most of the height of a page, and never enlarge it."""
+"""Boxes that scale their content down to the width and most of the height of a page, but never up."""
 
 COLORS = {BEST: "red!25", SECOND: "yellow!25"}
 SPECIAL = {
@@ -55,12 +55,12 @@ SPECIAL = {
 
 
 def to_latex(tables: Sequence[Table]) -> str:
-    """Table environments one after the other; a comment names the packages."""
+    """Table environments one after the other; a comment lists the required packages."""
     return PREAMBLE + "\n".join(_table(part) for table in tables for part in _parts(table))
 
 
 def _parts(table: Table) -> Iterator[Table]:
-    """The table itself, or one table for each section of a tall one; the notes stand below the last."""
+    """The table itself, or one table per section of a tall one; the notes follow the last."""
     sections = list(dict.fromkeys(row.section for row in table.rows))
     if len(table.rows) <= TALL or len(sections) == 1:
         yield table
@@ -87,14 +87,14 @@ def _table(table: Table) -> str:
 
 
 def _caption(table: Table) -> str:
-    """The caption; the key to the colours follows where anything is coloured."""
+    """The caption, followed by the color key if any cell is marked."""
     colored = any(cell.mark for row in table.rows for cell in row.cells)
     key = r" \colorbox{red!25}{Red} indicates the best and \colorbox{yellow!25}{yellow} indicates the second."
     return escaped(table.caption) + (key if colored else "")
 
 
 def _alignment(table: Table) -> str:
-    """`c|ccc|ccc`: a rule after the labels and between groups; `c|c|c` without groups."""
+    """`c|ccc|ccc`: rules after the labels and between groups; `c|c|c` without groups."""
     spans = table.groups
     return "c|" + ("|".join("c" * span for _, span in spans) if spans else "|".join("c" for _ in table.columns))
 
@@ -135,9 +135,10 @@ def _cell(cell: Cell) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text without any character that means something to TeX, and a true minus before numbers.
+    """Text with TeX's special characters escaped and a true minus sign before numbers.
 
-    What pdfTeX's fonts do not have (anything beyond Latin letters) becomes a question mark, so that the file compiles.
+    Characters that pdfTeX's fonts lack (anything beyond Latin letters) become question marks, so that the file
+    compiles.
     """
     signed = re.sub(r"(?<![\w-])-(?=\d)", "−", text)
     return "".join(SPECIAL.get(character, character if ord(character) < 0x180 else "?") for character in signed)

@@ -1,4 +1,4 @@
-"""The paper's own numbers (`paper.csv`, Tables 1 and 2), as tables of their own or beside ours."""
+"""The paper's own numbers (`paper.csv`, Tables 1 and 2), as separate tables or beside ours."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_paper() -> list[Published]:
 
 
 def paper_table_1() -> Table:
-    """Table 1: five subjects, four methods, three metrics; the marks are computed, not copied."""
+    """Table 1: five subjects, four methods, three metrics; marks are computed, not copied."""
     rows = [row for row in read_paper() if row.table == 1]
     methods = tuple(dict.fromkeys(row.method for row in rows))
     columns = [column for method in methods for column in _columns(method)]
@@ -53,13 +53,13 @@ def paper_table_1() -> Table:
 
 def paper_table_2() -> Table:
     """Table 2: the ablation study on ID 1."""
-    rows = [row for row in read_paper() if row.table == 2]
-    drawn = [
+    published = [row for row in read_paper() if row.table == 2]
+    rows = [
         Row(row.method, tuple(number_cell(row.numbers[n], d) for n, _, _, d in METRICS), rule=row.method == OURS)
-        for row in rows
+        for row in published
     ]
     columns, caption = tuple(_columns("")), "Ablation study on ID 1."
-    return rank_down(Table("paper-2", caption, "Methods", columns, tuple(drawn), (UNSTATED,)))
+    return rank_down(Table("paper-2", caption, "Methods", columns, tuple(rows), (UNSTATED,)))
 
 
 def with_paper(study: Study) -> Table:
@@ -77,8 +77,8 @@ def with_paper(study: Study) -> Table:
     gap = tuple(missing_cell("not evaluated here") for _ in range((len(methods) - len(study.methods)) * width))
     own = [dataclasses.replace(row, cells=row.cells + gap, section="ours") for row in table.rows]
     places = [_family(name) for name in study.metrics]
-    drawn = own + _paper_rows(published, methods, places, columns)
-    return dataclasses.replace(table, columns=tuple(columns), rows=tuple(drawn), notes=(*table.notes, NOTE))
+    rows = own + _paper_rows(published, methods, places, columns)
+    return dataclasses.replace(table, columns=tuple(columns), rows=tuple(rows), notes=(*table.notes, NOTE))
 
 
 def ablation_with_paper(study: Study) -> Table:
@@ -89,8 +89,8 @@ def ablation_with_paper(study: Study) -> Table:
     theirs = []
     for row in paper_table_2().rows:
         cells = dict(zip((name for name, *_ in METRICS), row.cells, strict=True))
-        drawn = tuple(cells.get(name, missing_cell("not in the paper's table")) for name in families)
-        theirs.append(Row(_ours(row.label), drawn, f"ID 1, {SECTION}", row.rule))
+        shown = tuple(cells.get(name, missing_cell("not in the paper's table")) for name in families)
+        theirs.append(Row(_ours(row.label), shown, f"ID 1, {SECTION}", row.rule))
     return dataclasses.replace(table, rows=(*own, *theirs), notes=(*table.notes, NOTE))
 
 
@@ -126,11 +126,11 @@ def _columns(group: str) -> list[Column]:
 
 
 def _ours(method: str) -> str:
-    """The paper's method under the name our tables print."""
+    """The display name of a method of the paper."""
     return "GGAvatar" if method == OURS else method
 
 
 def _family(metric: str) -> str:
-    """The paper's column nearest to one of our metrics; where there is none, the metric itself."""
+    """The paper's column that corresponds to one of our metrics; otherwise the metric itself."""
     base = metric.partition("_")[0]
     return base if base in ("ssim", "lpips") else metric

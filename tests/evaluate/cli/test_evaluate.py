@@ -50,7 +50,7 @@ def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
     predictions, _ = write_folders(tmp_path, [1, 2])
     (predictions / "frame_0002.png").unlink()
     assert score(tmp_path) == 2
-    assert "no render for 1 frames: 2" in capsys.readouterr().err
+    assert "no prediction for 1 frames: 2" in capsys.readouterr().err
     write(predictions / "frame_0002.png", pair(40, 64)[1])
     assert score(tmp_path) == 2
     error = capsys.readouterr().err
@@ -67,11 +67,11 @@ def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
         (["run", "--pred", "a", "--gt", "b"], "found both"),
         (["absent"], "absent"),
         (["--pred", "a", "--gt", "b", "--protocol", "papr"], "paper"),
-        (["--pred", "a", "--gt", "b", "--fail-below", "pnsr=3"], "perhaps 'psnr'"),
+        (["--pred", "a", "--gt", "b", "--fail-below", "pnsr=3"], "did you mean psnr?"),
         (["--pred", "a", "--gt", "b", "--tolerance", "psnr=3"], "--compare FILE"),
         (["--pred", "a", "--gt", "b", "--github"], "to report, found none"),
         (["--pred", "a", "--gt", "b", "--compare", "gone.json"], "gone.json: no such file"),
-        (["--pred", "a", "--gt", "b", "--metrics", "psnrr"], "perhaps 'psnr'"),
+        (["--pred", "a", "--gt", "b", "--metrics", "psnrr"], "did you mean psnr?"),
         (["--pred", "absent", "--gt", "absent"], "expected a folder"),
     ],
 )

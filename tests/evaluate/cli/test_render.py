@@ -116,8 +116,8 @@ def test_existing_output(run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pyte
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--orbit", "--drive", "x"], "found both"),
-        (["--resume", "--overwrite"], "found both"),
+        (["--orbit", "--drive", "x"], "mutually exclusive"),
+        (["--resume", "--overwrite"], "mutually exclusive"),
         (["--views", "0"], "--views"),
         (["--width", "3"], "--width"),
         (["--fps", "0"], "--fps"),

@@ -106,7 +106,7 @@ def test_frames_are_found_by_the_number_in_their_name(tmp_path: Path, random: np
     (tmp_path / "notes.txt").write_text("9")
     assert list(frame_files(tmp_path)) == [7, 12]
     write_png(tmp_path / "b_12.png", noise(random))
-    with pytest.raises(InputError, match="one picture per frame"):
+    with pytest.raises(InputError, match="one image per frame"):
         frame_files(tmp_path)
     (tmp_path / "empty").mkdir()
     for folder, words in (("empty", "found none"), ("absent", "expected a folder")):
@@ -138,18 +138,18 @@ def test_comparison_shows_truth_methods_and_errors(folders: dict[str, Path], tmp
     shown = write_comparison(tmp_path / "figure.png", methods, folders["truth"], frames=[30])
     figure = read_rgb(tmp_path / "figure.png")
     assert shown == [30] and figure.shape[1] > 3 * 240
-    sample = load_comparison_frame(30, methods, folders["truth"])
-    errors = sample.errors()
+    frame = load_comparison_frame(30, methods, folders["truth"])
+    errors = frame.errors()
     assert errors["poor"].mean() > 2 * errors["good"].mean()
-    bare = comparison([ComparisonFrame("", sample.truth, {"same": sample.truth})], crops=0)
-    alone = comparison([ComparisonFrame("", sample.truth, {"same": sample.truth})])
+    bare = comparison([ComparisonFrame("", frame.truth, {"same": frame.truth})], crops=0)
+    alone = comparison([ComparisonFrame("", frame.truth, {"same": frame.truth})])
     assert bare.shape[1] < alone.shape[1] and bare.shape[0] == alone.shape[0], "one method lies in one row"
-    with pytest.raises(ValueError, match="in every sample"):
-        comparison([sample, ComparisonFrame("", sample.truth, {"other": sample.truth})])
+    with pytest.raises(ValueError, match="in every frame"):
+        comparison([frame, ComparisonFrame("", frame.truth, {"other": frame.truth})])
 
 
 def test_comparison_refuses_what_does_not_match(folders: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="picture of frame 5"):
+    with pytest.raises(InputError, match="image of frame 5"):
         load_comparison_frame(5, {"good": folders["good"]}, folders["truth"])
     write_png(frame_file(tmp_path / "small", 30), np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(InputError, match="frame 30 of 30×40 px, found 4×4"):

@@ -18,7 +18,7 @@ from evaluate.cli.evaluate import main
 from evaluate.figures.curves import curves, write_curves
 from evaluate.figures.evaluation_images import EvaluationImages, display_names, worst_frames
 from evaluate.figures.report import report_data, write_report
-from evaluate.figures.report_images import report_pictures
+from evaluate.figures.report_images import report_images
 from evaluate.figures.worst_frames import worst_frames_sheet
 from evaluate.figures.write import write_studies, write_visuals
 from evaluate.protocols.protocol import protocol_by_name
@@ -89,7 +89,7 @@ def test_the_page_refers_to_nothing_outside_itself(tmp_path: Path) -> None:
         "http://evil.example/x",
     }
     assert "<img src=http" not in text, "names are escaped"
-    assert not re.search(r"<!--[A-Z-]+-->", text), "every place is filled"
+    assert not re.search(r"\{\{|\{%|\{#", text), "the template is filled in"
 
 
 def test_the_page_holds_numbers_pictures_and_protocol(tmp_path: Path) -> None:
@@ -111,13 +111,13 @@ def test_the_page_holds_numbers_pictures_and_protocol(tmp_path: Path) -> None:
 
 def test_a_small_budget_keeps_the_worst_and_an_even_choice(tmp_path: Path) -> None:
     one = shown(tmp_path, "ours", 3)
-    whole, limit = report_pictures([one], 100.0)
+    whole, limit = report_images([one], 100.0)
     size = sum(len(entry["truth"]) + len(entry["renders"][0]) + len(entry["errors"][0]) for entry in whole)
-    part, _ = report_pictures([one], size / 1e6 * 0.7)
+    part, _ = report_images([one], size / 1e6 * 0.7)
     frames = [entry["frame"] for entry in part]
     assert len(whole) == len(FRAMES) and 6 < len(frames) < len(FRAMES) and limit > 0
     assert frames == sorted(frames) and set(FRAMES[-6:]) <= set(frames) and FRAMES[0] in frames
-    assert len(report_pictures([one], 0.0)[0]) == 1
+    assert len(report_images([one], 0.0)[0]) == 1
     assert len(report_data([one], 0.0)["values"]["psnr"][0]) == len(FRAMES), "numbers of all frames are kept"
 
 
@@ -129,7 +129,7 @@ def test_reports_do_not_mix_subjects_or_protocols(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least one"):
         write_report(tmp_path / "report.html", [])
     frame_file(one.truth, 40).unlink()
-    with pytest.raises(InputError, match="picture of frame 40"):
+    with pytest.raises(InputError, match="image of frame 40"):
         write_report(tmp_path / "report.html", [one])
     assert not (tmp_path / "report.html").exists()
 

@@ -1,4 +1,4 @@
-"""Faces: the arithmetic by hand, the landmarks on a public-domain portrait, the recogniser as a tiny network."""
+"""Faces: the arithmetic by hand, the landmarks on a public-domain portrait, the recognizer as a tiny network."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from skimage.data import astronaut
 
 from evaluate.metrics.catalogue import FACES
-from evaluate.metrics.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
+from evaluate.metrics.faces import BUNDLE, RECOGNIZER, FaceMetrics, alignment_row, cosine
 from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
@@ -46,13 +46,13 @@ def mean_color_network(path: Path) -> Path:
 
 @pytest.fixture
 def networks(models_folder: Path, tmp_path: Path) -> Path:
-    """A folder with the real face landmarker and the stand-in for the recogniser."""
+    """A folder with the real face landmarker and the stand-in for the recognizer."""
     folder = tmp_path / "models"
     folder.mkdir()
     if not (models_folder / BUNDLE).is_file():
         pytest.skip(f"{BUNDLE} not found in $GGAVATAR_MODELS")
     (folder / BUNDLE).symlink_to(models_folder / BUNDLE)
-    mean_color_network(folder / RECOGNISER)
+    mean_color_network(folder / RECOGNIZER)
     return folder
 
 
@@ -65,7 +65,7 @@ def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_
     truth = astronaut()
     faces = FaceMetrics(FACES, [networks])
     assert faces.missing == {}
-    assert set(faces.hashes) == {f"faces/{BUNDLE}", f"faces/{RECOGNISER}"}
+    assert set(faces.hashes) == {f"faces/{BUNDLE}", f"faces/{RECOGNIZER}"}
     same = faces.measure(truth, truth)
     assert same.values == {"landmark_distance": 0.0, "expression_distance": 0.0, "identity": pytest.approx(1)}
     moved = faces.measure(np.roll(truth, 32, axis=1), truth)
@@ -138,7 +138,7 @@ def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path
 def test_without_networks_there_are_reasons(tmp_path: Path) -> None:
     faces = FaceMetrics(FACES, [tmp_path])
     assert set(faces.missing) == set(FACES)
-    assert RECOGNISER in faces.missing["identity"]
+    assert RECOGNIZER in faces.missing["identity"]
     assert BUNDLE in faces.missing["expression_distance"]
     assert faces.measure(astronaut(), astronaut()).values == {}
     (tmp_path / BUNDLE).write_bytes(b"not a network")

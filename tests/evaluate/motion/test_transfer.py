@@ -1,4 +1,4 @@
-"""TransferOptions, limits, smoothing and neutral frames, against closed forms and scipy's rotations."""
+"""Transfer, limits, smoothing and neutral frames, against closed forms and scipy's rotations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.motion.driving_sequence import Cameras, DrivingSequence, driving_sequence_of, read_driving_sequence
 from evaluate.motion.retarget import basis_family, retarget
 from evaluate.motion.smoothing import one_euro, savgol, smoothed
-from evaluate.motion.transfer import TransferOptions, limit_to_seen, neutral_row, soft_clip, transfer_performance
+from evaluate.motion.transfer import (
+    TransferOptions,
+    limit_to_training_range,
+    neutral_row,
+    soft_clip,
+    transfer_performance,
+)
 from ggavatar.errors import InputError
 from tests.support.toy_run import COUNT, JOINTS, write_capture
 
@@ -111,7 +117,7 @@ def test_soft_clip_is_the_identity_inside_and_bounded_outside(value: float, marg
 def test_limits_hold_expressions_and_joint_angles() -> None:
     seen, wild = motion(1), motion(2)
     wild = dataclasses.replace(wild, expression=wild.expression * 50, joint_rotations=wild.joint_rotations * 6)
-    kept = limit_to_seen(wild, seen, 0, 0.1)
+    kept = limit_to_training_range(wild, seen, 0, 0.1)
     widths = seen.expression.max(0) - seen.expression.min(0)
     zone = 0.1 * np.maximum(widths, np.median(widths)) + 1e-6
     assert (kept.expression <= seen.expression.max(0) + zone).all() and (
@@ -120,7 +126,7 @@ def test_limits_hold_expressions_and_joint_angles() -> None:
     rest = Rotation.from_rotvec(seen.joint_rotations[0, 1]).inv()
     most = (Rotation.from_rotvec(seen.joint_rotations[:, 1]) * rest).magnitude().max()
     assert (Rotation.from_rotvec(kept.joint_rotations[:, 1]) * rest).magnitude().max() <= most * 1.1 + 1e-6
-    same = limit_to_seen(seen, seen, 0, 0.1)
+    same = limit_to_training_range(seen, seen, 0, 0.1)
     np.testing.assert_allclose(same.expression, seen.expression)
     np.testing.assert_allclose(same.joint_rotations, seen.joint_rotations, atol=1e-9)
 

@@ -32,7 +32,7 @@ CHANGES = {
 def test_named_protocols_exist_and_differ(name: str) -> None:
     protocol = protocol_by_name(name)
     assert protocol.id == f"{name}-v1"
-    assert named(protocol.id) is protocol
+    assert protocol_by_name(protocol.id) is protocol
     assert sum(other.digest == protocol.digest for other in PROTOCOLS.values()) == 1
     assert set(protocol.table_metrics) <= set(protocol.metrics)
 
@@ -93,7 +93,7 @@ def test_a_protocol_survives_its_own_dictionary() -> None:
 def test_unknown_names_fields_and_values_are_refused_with_the_nearest() -> None:
     with pytest.raises(InputError, match="insta-350"):
         protocol_by_name("insta350")
-    with pytest.raises(InputError, match="'background'"):
+    with pytest.raises(InputError, match="did you mean background"):
         protocol_by_name("paper").override(backgroud="black")
     with pytest.raises(InputError, match="lpips_alex"):
         protocol_by_name("paper").override(metrics=("lpips_alx",), table_metrics=("lpips_alx",))

@@ -31,14 +31,14 @@ def test_16_bits_are_rounded_to_the_nearest_of_256_levels(tmp_path: Path) -> Non
     found = read_scored(tmp_path / "a.png", None)
     assert found.pixels[0, 0].tolist() == [0, 1, 255]
     np.testing.assert_array_equal(found.pixels[1:], truth[1:])
-    assert found.notes == ("16-bit pictures rounded to 8 bits",)
+    assert found.notes == ("16-bit images rounded to 8 bits",)
 
 
 def test_grey_is_repeated(tmp_path: Path) -> None:
     write(tmp_path / "a.png", pair()[0][..., 0])
     found = read_scored(tmp_path / "a.png", None)
     np.testing.assert_array_equal(found.pixels, np.repeat(pair()[0][..., :1], 3, axis=2))
-    assert found.notes == ("grey pictures repeated to RGB",)
+    assert found.notes == ("grayscale images repeated to RGB",)
 
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535)])

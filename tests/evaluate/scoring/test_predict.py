@@ -27,12 +27,12 @@ def run(tmp_path: Path) -> Run:
     return toy_run(tmp_path)
 
 
-def job(*frames: int, truth: GroundTruth = WHITE) -> PredictionTask:
+def task(*frames: int, truth: GroundTruth = WHITE) -> PredictionTask:
     return PredictionTask(frames, truth, {"method": "toy", "step": 7})
 
 
 def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) -> None:
-    summary = predict_frames(run, job(10, 15, 12), tmp_path / "out")
+    summary = predict_frames(run, task(10, 15, 12), tmp_path / "out")
     for folder in ("predictions", "ground_truth", "masks"):
         assert sorted(path.name for path in (tmp_path / "out" / folder).iterdir()) == [
             "000010.png",
@@ -55,45 +55,45 @@ def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) ->
 
 def test_background_size_and_binary_mask(run: Run, tmp_path: Path) -> None:
     truth = GroundTruth((0.0, 0.0, 0.0), (WIDTH * 2, HEIGHT * 2), binary_mask=True)
-    predict_frames(run, job(11, truth=truth), tmp_path / "out")
+    predict_frames(run, task(11, truth=truth), tmp_path / "out")
     assert read_rgb(tmp_path / "out/predictions/000011.png").shape == (HEIGHT * 2, WIDTH * 2, 3)
     assert read_rgb(tmp_path / "out/predictions/000011.png")[0, 0].tolist() == [0, 0, 0]
     assert set(np.unique(read_gray(tmp_path / "out/masks/000011.png")[:, ::2])) <= {0, 64, 191, 255}
     with pytest.raises(InputError, match="distorted"):
-        predict_frames(run, job(11, truth=GroundTruth((1.0, 1.0, 1.0), (64, 64))), tmp_path / "other")
+        predict_frames(run, task(11, truth=GroundTruth((1.0, 1.0, 1.0), (64, 64))), tmp_path / "other")
 
 
 def test_resumes_where_it_was(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    first = predict_frames(run, job(10, 11, 12), out)
+    first = predict_frames(run, task(10, 11, 12), out)
     (out / "masks/000011.png").unlink()
     kept = (out / "predictions/000010.png").stat().st_mtime_ns
     steps: list[tuple[int, int]] = []
-    second = predict_frames(run, job(10, 11, 12), out, lambda done, total: steps.append((done, total)))
+    second = predict_frames(run, task(10, 11, 12), out, lambda done, total: steps.append((done, total)))
     assert steps == [(2, 3), (3, 3)]
     assert (out / "predictions/000010.png").stat().st_mtime_ns == kept and (out / "masks/000011.png").exists()
     assert second["timing"] == first["timing"], "one warm-up frame is no measurement"
-    assert predict_frames(run, job(10, 11, 12), out) == second
+    assert predict_frames(run, task(10, 11, 12), out) == second
 
 
 def test_refuses_what_is_not_its_own(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    predict_frames(run, job(10), out)
-    with pytest.raises(InputError, match=r"differ from those asked for in frames"):
-        predict_frames(run, job(10, 11), out)
+    predict_frames(run, task(10), out)
+    with pytest.raises(InputError, match=r"differ from those requested in frames"):
+        predict_frames(run, task(10, 11), out)
     with pytest.raises(InputError, match=r"in background"):
-        predict_frames(run, job(10, truth=GroundTruth((0.0, 0.0, 0.0))), out)
+        predict_frames(run, task(10, truth=GroundTruth((0.0, 0.0, 0.0))), out)
     with pytest.raises(InputError, match="at least one frame"):
-        predict_frames(run, job(), tmp_path / "none")
+        predict_frames(run, task(), tmp_path / "none")
     (tmp_path / "foreign/predictions").mkdir(parents=True)
     with pytest.raises(InputError, match="unknown origin"):
-        predict_frames(run, job(10), tmp_path / "foreign")
+        predict_frames(run, task(10), tmp_path / "foreign")
     (out / "predict.json").write_text("[1]")
     with pytest.raises(InputError, match="something else"):
-        predict_frames(run, job(10), out)
+        predict_frames(run, task(10), out)
 
 
-def test_a_protocol_decides_the_job(run: Run) -> None:
+def test_a_protocol_decides_the_task(run: Run) -> None:
     asked = prediction_task(run, protocol_by_name("paper").override(resolution="native", background="black"))
     assert asked.frames == (10, 15) and asked.truth == GroundTruth((0.0, 0.0, 0.0))
     assert asked.identity["checkpoint_sha256"] == "00" and asked.identity["split"] == "every-20th"

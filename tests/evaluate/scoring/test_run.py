@@ -114,8 +114,8 @@ def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
     assert at_capture_resolution(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
     halved = paper.override(resolution=f"{WIDTH // 2}x{HEIGHT // 2}")
     assert at_capture_resolution(halved, run) == halved
-    assert fitted(paper.override(resolution="16x16"), run).size == (WIDTH, HEIGHT)
-    assert fitted(paper.override(resolution="native"), run).size is None
+    assert at_capture_resolution(paper.override(resolution="16x16"), run).size == (WIDTH, HEIGHT)
+    assert at_capture_resolution(paper.override(resolution="native"), run).size is None
 
 
 def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

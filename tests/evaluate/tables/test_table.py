@@ -1,4 +1,4 @@
-"""Tables: rank_marks, ties, missing cells, seeds, means, and the marks in every format."""
+"""Tables: ranks, ties, missing cells, seeds, means, and the marks in every format."""
 
 from __future__ import annotations
 
