@@ -1,4 +1,4 @@
-"""The scene of all figures: Gaussians on an ellipsoid that fills half of the image, like a head."""
+"""The scene of the rasterizer benchmarks: Gaussians on a head-like ellipsoid that fills half of the image."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 
 def head(count: int, size: int, seed: int = 0) -> tuple[Gaussians, Camera]:
-    """`count` flat Gaussians with harmonics of degree 3, seen at `size` × `size` px; their tensors ask for gradients.
+    """`count` flat Gaussians of degree 3 that require gradients, and a camera of `size` × `size` px.
 
-    Tangential scales are 0.55 of the spacing with a log-normal spread, opacities the sigmoid of N(0.6, 1.6).
+    Tangential scales are 0.55 of the spacing with a log-normal spread, opacities are the sigmoid of N(0.6, 1.6).
     """
     generator = torch.Generator().manual_seed(seed)
     directions = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1)

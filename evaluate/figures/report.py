@@ -81,7 +81,7 @@ def report_data(compared: Sequence[EvaluationImages], megabytes: float) -> dict[
         "frames": list(frames),
         "values": {name: [_by_frame(one.evaluation, frames, name) for one in compared] for name in columns},
         "means": {name: [one.evaluation.summary(name).mean for one in compared] for name in columns},
-        "pictures": images,
+        "images": images,
         "worst": worst_frames(compared, WORST_FRAMES),
         "errorLimit": limit,
         "fps": min(compared[0].fps, MAX_FPS),

@@ -37,7 +37,7 @@ def report_images(compared: Sequence[EvaluationImages], megabytes: float) -> tup
     used = 0
     for frame in dict.fromkeys([*worst_frames(compared, 6), *_refining(frames)]):
         entry = _entry(compared, frame, limit)
-        size = len(entry["truth"]) + sum(map(len, entry["renders"])) + sum(map(len, entry["errors"]))
+        size = len(entry["truth"]) + sum(map(len, entry["predictions"])) + sum(map(len, entry["errors"]))
         if entries and used + size > megabytes * 1e6:
             break
         used += size
@@ -51,7 +51,7 @@ def _entry(compared: Sequence[EvaluationImages], frame: int, limit: float) -> di
     return {
         "frame": frame,
         "truth": data_uri(_bounded(pairs[0][1]), QUALITY),
-        "renders": [data_uri(_bounded(prediction), QUALITY) for prediction, _ in pairs],
+        "predictions": [data_uri(_bounded(prediction), QUALITY) for prediction, _ in pairs],
         "errors": [data_uri(_bounded(error), ERROR_QUALITY) for error in errors],
     }
 

@@ -17,8 +17,8 @@ STATIC_LEVELS = 2
 def frame_difference_error(before: tuple[Image, Image], now: tuple[Image, Image]) -> float:
     """Mean absolute error of the change between two frames, range 1.
 
-    mean |(prediction[t] − prediction[t−1]) − (truth[t] − truth[t−1])| over all pixels and channels. Constant errors
-    cancel; flicker, lag and missing motion remain.
+    The mean of |(prediction[t] − prediction[t−1]) − (truth[t] − truth[t−1])| over all pixels and channels. Constant
+    errors cancel; flicker, lag and missing motion remain.
 
     Args:
         before: Prediction and ground truth of frame t − 1.

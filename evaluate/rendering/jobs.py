@@ -1,4 +1,4 @@
-"""What ggavatar-render renders: the views of a split, an orbit or a driving sequence, and the figure for each."""
+"""The jobs of ggavatar-render: views of a split, an orbit or a driving sequence, and the figure for each."""
 
 from __future__ import annotations
 

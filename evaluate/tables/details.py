@@ -43,7 +43,7 @@ def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Itera
     for place, run in enumerate(runs):
         label = title_of(metric) + (f", seed {run.seed}" if len(runs) > 1 else "")
         found, digits = run.summary(metric), metric_of(metric).digits
-        reason = run.missing.get(metric, "all renders equal the ground truth" if found.identical else "not defined")
+        reason = run.missing.get(metric, "all predictions equal the ground truth" if found.identical else "not defined")
         where = ((run.subject,), (run.method,), metric)
         cells = [number_cell(float(found.count), 0, CellSource("count", *where, run.seed))]
         cells += [

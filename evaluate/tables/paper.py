@@ -17,7 +17,7 @@ OURS = "Ours"
 PAPER = Path(__file__).with_name("paper.csv")
 SECTION = "paper (protocol not stated)"
 UNSTATED = "The paper (Li et al. 2024) states neither background, SSIM variant, LPIPS network nor input range."
-NOTE = f"The paper's rows stand beside ours for orientation only; its subjects are not ours. {UNSTATED}"
+NOTE = f"The paper's rows are shown for orientation only; its subjects are not ours. {UNSTATED}"
 METRICS = (("psnr", "PSNR ↑", True, 2), ("ssim", "SSIM ↑", True, 3), ("lpips", "LPIPS ↓", False, 3))
 
 

@@ -62,7 +62,7 @@ class Study:
             source = CellSource("mean", (subject,), (method,), metric)
             return number_cell(statistics.fmean(means), metric_of(metric).digits, source, deviation_over_seeds(means))
         if all(summary.identical for summary in summaries):
-            return Cell(IDENTICAL, reason="all renders equal the ground truth; PSNR is infinite")
+            return Cell(IDENTICAL, reason="all predictions equal the ground truth; PSNR is infinite")
         return missing_cell(next((r.missing[metric] for r in runs if metric in r.missing), "not measured"))
 
 

@@ -1,4 +1,4 @@
-"""Evaluations with chosen numbers, for tests of tables and gates."""
+"""Evaluations with given values, for tests of tables and gates."""
 
 from __future__ import annotations
 

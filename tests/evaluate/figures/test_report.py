@@ -1,4 +1,4 @@
-"""The report page: complete, bounded, self-contained, and alive in a real browser where one is installed."""
+"""The report page: complete, bounded, self-contained, and interactive in a real browser if one is installed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ HOSTILE = "</script><img src=http://evil.example/x onerror=alert(1)>"
 
 
 class Page(HTMLParser):
-    """What a page refers to, and the text of its data."""
+    """The references of a page and the text of its data."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -58,8 +58,8 @@ def parsed(path: Path) -> Page:
     return page
 
 
-def shown(folder: Path, method: str, level: int, subject: str = "toy", seed: int | None = None) -> EvaluationImages:
-    """Frames of noise, with an error that grows towards the last frame; the first frame is identical."""
+def evaluated(folder: Path, method: str, level: int, subject: str = "toy", seed: int | None = None) -> EvaluationImages:
+    """Frames of noise, with an error that grows toward the last frame; the first frame is identical."""
     random = np.random.default_rng(1)
     psnr: list[float | None] = []
     home = folder / f"{method.replace('/', '_')[:8]}-{level}"
@@ -79,7 +79,7 @@ def shown(folder: Path, method: str, level: int, subject: str = "toy", seed: int
 
 
 def test_the_page_refers_to_nothing_outside_itself(tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", [shown(tmp_path, HOSTILE, 3, subject=HOSTILE)])
+    write_report(tmp_path / "report.html", [evaluated(tmp_path, HOSTILE, 3, subject=HOSTILE)])
     page, text = parsed(tmp_path / "report.html"), (tmp_path / "report.html").read_text()
     assert page.references == [] and not {"link", "iframe", "object", "base", "form"} & set(page.tags)
     assert page.tags.count("script") == 2, "a hostile name must not open another one"
@@ -92,16 +92,16 @@ def test_the_page_refers_to_nothing_outside_itself(tmp_path: Path) -> None:
     assert not re.search(r"\{\{|\{%|\{#", text), "the template is filled in"
 
 
-def test_the_page_holds_numbers_pictures_and_protocol(tmp_path: Path) -> None:
-    one = shown(tmp_path, "ours", 3)
-    write_report(tmp_path / "report.html", [one, shown(tmp_path, "theirs", 5)])
+def test_the_page_holds_numbers_images_and_protocol(tmp_path: Path) -> None:
+    one = evaluated(tmp_path, "ours", 3)
+    write_report(tmp_path / "report.html", [one, evaluated(tmp_path, "theirs", 5)])
     page, text = parsed(tmp_path / "report.html"), (tmp_path / "report.html").read_text()
     data = json.loads(page.data)
     assert data["methods"] == ["ours", "theirs"] and data["frames"] == list(FRAMES)
     assert data["values"]["psnr"][0][0] == "identical" and [m["name"] for m in data["metrics"]] == ["psnr"]
     assert data["values"]["psnr"][1][4] == pytest.approx(20 * math.log10(255 / 20))
-    assert [entry["frame"] for entry in data["pictures"]] == list(FRAMES) and data["worst"][0] == FRAMES[-1]
-    encoded = base64.b64decode(data["pictures"][4]["renders"][0].partition(",")[2])
+    assert [entry["frame"] for entry in data["images"]] == list(FRAMES) and data["worst"][0] == FRAMES[-1]
+    encoded = base64.b64decode(data["images"][4]["predictions"][0].partition(",")[2])
     image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
     assert image.shape == (48, 40, 3)
     assert np.abs(image.mean() - read_rgb(frame_file(one.predictions, FRAMES[4])).mean()) < 2
@@ -110,9 +110,9 @@ def test_the_page_holds_numbers_pictures_and_protocol(tmp_path: Path) -> None:
 
 
 def test_a_small_budget_keeps_the_worst_and_an_even_choice(tmp_path: Path) -> None:
-    one = shown(tmp_path, "ours", 3)
+    one = evaluated(tmp_path, "ours", 3)
     whole, limit = report_images([one], 100.0)
-    size = sum(len(entry["truth"]) + len(entry["renders"][0]) + len(entry["errors"][0]) for entry in whole)
+    size = sum(len(entry["truth"]) + len(entry["predictions"][0]) + len(entry["errors"][0]) for entry in whole)
     part, _ = report_images([one], size / 1e6 * 0.7)
     frames = [entry["frame"] for entry in part]
     assert len(whole) == len(FRAMES) and 6 < len(frames) < len(FRAMES) and limit > 0
@@ -122,7 +122,7 @@ def test_a_small_budget_keeps_the_worst_and_an_even_choice(tmp_path: Path) -> No
 
 
 def test_reports_do_not_mix_subjects_or_protocols(tmp_path: Path) -> None:
-    one = shown(tmp_path, "ours", 3)
+    one = evaluated(tmp_path, "ours", 3)
     other = dataclasses.replace(one, evaluation=dataclasses.replace(one.evaluation, subject="another"))
     with pytest.raises(InputError, match="one subject under one protocol"):
         write_report(tmp_path / "report.html", [one, other])
@@ -135,16 +135,15 @@ def test_reports_do_not_mix_subjects_or_protocols(tmp_path: Path) -> None:
 
 
 def test_labels_are_distinct_and_worst_frames_ordered(tmp_path: Path) -> None:
-    one, two = shown(tmp_path, "ours", 3, seed=1), shown(tmp_path, "ours", 4, seed=2)
-    assert display_names([one, two]) == ["ours (seed 1)", "ours (seed 2)"] and display_names([one, one])[1].endswith(
-        "#2"
-    )
+    one, two = evaluated(tmp_path, "ours", 3, seed=1), evaluated(tmp_path, "ours", 4, seed=2)
+    assert display_names([one, two]) == ["ours (seed 1)", "ours (seed 2)"]
+    assert display_names([one, one])[1].endswith("#2")
     assert worst_frames([one], 3) == [220, 200, 180] and worst_frames([one], 99)[-1] == 0
     assert worst_frames([one], 3, "ssim") == []
 
 
 def test_curves_and_worst_sheet(tmp_path: Path) -> None:
-    one, two = shown(tmp_path, "ours", 3), shown(tmp_path, "theirs", 5)
+    one, two = evaluated(tmp_path, "ours", 3), evaluated(tmp_path, "theirs", 5)
     (panel,) = curves([one, two]).axes
     assert panel.get_ylabel() == "PSNR, dB ↑" and [text.get_text() for text in panel.texts] == ["220", "220"]
     drawn = panel.lines[0].get_ydata()
@@ -155,7 +154,7 @@ def test_curves_and_worst_sheet(tmp_path: Path) -> None:
 
 
 def test_identical_and_unmeasured_frames_can_be_drawn(tmp_path: Path) -> None:
-    one = shown(tmp_path, "ours", 0)
+    one = evaluated(tmp_path, "ours", 0)
     assert all(value == math.inf for value in one.evaluation.values["psnr"])
     files = write_visuals(one, one.predictions.parent)
     assert len(files) == 5
@@ -168,8 +167,8 @@ def test_identical_and_unmeasured_frames_can_be_drawn(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_everything_to_look_at_is_written_once(tmp_path: Path) -> None:
-    one = shown(tmp_path, "ours", 3)
+def test_figures_are_written_once(tmp_path: Path) -> None:
+    one = evaluated(tmp_path, "ours", 3)
     home = one.predictions.parent
     files = write_visuals(one, home)
     assert [path.name for path in files] == [
@@ -181,23 +180,25 @@ def test_everything_to_look_at_is_written_once(tmp_path: Path) -> None:
     ]
     times = [path.stat().st_mtime_ns for path in files]
     assert [path.stat().st_mtime_ns for path in write_visuals(one, home)] == times
-    pair = write_studies([one, shown(tmp_path, "theirs", 5), shown(tmp_path, "ours", 4, subject="b/c")], tmp_path)
+    pair = write_studies(
+        [one, evaluated(tmp_path, "theirs", 5), evaluated(tmp_path, "ours", 4, subject="b/c")], tmp_path
+    )
     assert [path.name for path in pair] == ["comparison-toy.png", "report-toy.html"]
-    gallery = write_studies([one, shown(tmp_path, "ours", 4, subject="b/c")], tmp_path)
+    gallery = write_studies([one, evaluated(tmp_path, "ours", 4, subject="b/c")], tmp_path)
     assert [path.name for path in gallery] == ["comparison.png"]
     assert write_studies([one], tmp_path) == write_studies([], tmp_path) == []
 
 
 @pytest.mark.slow
-def test_the_page_answers_the_hand_in_a_browser(tmp_path: Path) -> None:
+def test_the_page_is_interactive_in_a_browser(tmp_path: Path) -> None:
     browser = chromium()
     if browser is None:
         pytest.skip("needs Chromium or Chrome on the path")
-    write_report(tmp_path / "report.html", [shown(tmp_path, "ours", 3)])
+    write_report(tmp_path / "report.html", [evaluated(tmp_path, "ours", 3)])
     with opened(browser, tmp_path / "report.html", tmp_path / "profile") as page:
         label = "document.getElementById('frame-label').textContent"
         assert page.value(label) == "frame 0"
-        assert page.value("document.getElementById('image-right').naturalWidth") == 40, "the picture is shown"
+        assert page.value("document.getElementById('image-right').naturalWidth") == 40, "the image is shown"
         assert page.value("document.querySelectorAll('#chart path').length") == 1, "the curve is drawn"
         page.drag("#stage", 0.5, 0.25)
         assert page.value("state.split") == pytest.approx(25, abs=1)
@@ -218,7 +219,7 @@ def test_the_page_answers_the_hand_in_a_browser(tmp_path: Path) -> None:
 
 
 def test_the_command_draws_unless_told_not_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one = shown(tmp_path, "ours", 3)
+    one = evaluated(tmp_path, "ours", 3)
     folders = ["--pred", str(one.predictions), "--gt", str(one.truth), "--no-lpips"]
     assert main([*folders, "-o", str(tmp_path / "with")]) == 0
     assert str(tmp_path / "with" / "report.html") in capsys.readouterr().out.replace("\n", "")

@@ -36,7 +36,7 @@ def tensor_info(name: str, shape: tuple[int, ...]) -> bytes:
 
 
 def mean_color_network(path: Path) -> Path:
-    """An ONNX file whose embedding of a face is its mean colour (one GlobalAveragePool node)."""
+    """An ONNX file whose embedding of a face is its mean color (one GlobalAveragePool node)."""
     node = message(1, b"data") + message(2, b"fc1") + message(4, b"GlobalAveragePool")
     graph = message(1, node) + message(2, b"g") + message(11, tensor_info("data", (1, 3, 112, 112)))
     graph += message(12, tensor_info("fc1", (1, 3, 1, 1)))
@@ -57,7 +57,7 @@ def networks(models_folder: Path, tmp_path: Path) -> Path:
 
 
 OUTER_CORNERS = 60.0
-"""Distance between the outer corners of the portrait's eyes, px, read off the picture."""
+"""Distance between the outer corners of the portrait's eyes, px, read off the image."""
 
 
 @pytest.mark.weights
@@ -85,9 +85,9 @@ def test_an_open_mouth_is_another_expression_and_the_order_of_frames_does_not_ma
     assert set(found) == {"expression_distance"}
     finder = LandmarkTracker(networks / BUNDLE)
     scores = []
-    for picture in (opened, truth):
+    for image in (opened, truth):
         finder.reset()
-        seen = finder.landmarks(picture)
+        seen = finder.landmarks(image)
         assert seen is not None
         scores.append({name: float(seen.blendshapes[k]) for k, name in enumerate(NAMES) if name != "neutral"})
     assert scores[0]["mouthLowerDownLeft"] > scores[1]["mouthLowerDownLeft"] + 0.5
@@ -103,7 +103,7 @@ def test_faces_are_aligned_by_eyes_nose_and_mouth(networks: Path) -> None:
     found = LandmarkTracker(networks / BUNDLE).landmarks(astronaut())
     assert found is not None
     row = alignment_row(found.points)
-    # Read off the picture: the subject's right and left eye, the tip of the nose, the corners of the mouth.
+    # Read off the image: the subject's right and left eye, the tip of the nose, the corners of the mouth.
     expected = [[203, 101], [248, 103], [225, 125], [202, 139], [245, 141]]
     np.testing.assert_allclose(row[4:14].reshape(5, 2), expected, atol=4)
     left, top, width, height = row[:4]

@@ -27,9 +27,9 @@ def test_ssim_equals_skimage_with_the_settings_of_wang(size: tuple[int, int]) ->
 
 def test_ssim_of_luma_equals_skimage() -> None:
     truth, render = pair(64, 80)
-    grey = [ssim.luma(image)[..., 0].astype(np.float64) for image in (truth, render)]
-    np.testing.assert_allclose(grey[0], truth / 255.0 @ [0.299, 0.587, 0.114], atol=1e-6)
-    expected = structural_similarity(*grey, **WANG)
+    gray = [ssim.luma(image)[..., 0].astype(np.float64) for image in (truth, render)]
+    np.testing.assert_allclose(gray[0], truth / 255.0 @ [0.299, 0.587, 0.114], atol=1e-6)
+    expected = structural_similarity(*gray, **WANG)
     assert mean_ssim(ssim.luma(render), ssim.luma(truth)) == pytest.approx(expected, abs=1e-5)
 
 

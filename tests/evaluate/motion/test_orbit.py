@@ -1,4 +1,4 @@
-"""Orbits: the centre keeps its pixel, the camera its distance, the signs are as documented."""
+"""Orbits: the center keeps its pixel, the camera its distance, the signs are as documented."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.support.toy_run import ToyAvatar, camera, head
 
 
 @pytest.mark.parametrize(("yaw", "pitch"), [(0.7, 0.0), (-0.3, 0.4), (0.0, -1.0), (3.0, 0.2)])
-def test_the_centre_stays_and_the_distance_too(yaw: float, pitch: float) -> None:
+def test_the_center_stays_and_the_distance_too(yaw: float, pitch: float) -> None:
     start, center = camera(), torch.tensor([0.03, -0.02, 0.05])
     moved = orbit_camera(start, center, yaw, pitch)
     before = project(center[None], start.intrinsics, start.world_to_camera)

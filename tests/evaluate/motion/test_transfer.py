@@ -71,7 +71,7 @@ def test_transfer_to_oneself_changes_nothing() -> None:
     np.testing.assert_allclose(moved.cameras.world_to_camera, driver.cameras.world_to_camera, atol=1e-12)
 
 
-def test_pose_moves_by_the_same_part_of_the_picture() -> None:
+def test_pose_moves_by_the_same_part_of_the_image() -> None:
     driver, target = motion(1, depth=1.0), motion(2, depth=3.0, width=400)
     moved = transfer_performance(driver, 0, target, 0, RAW)
     assert moved.cameras and target.cameras and driver.cameras

@@ -55,7 +55,7 @@ def test_independent_frames_give_the_textbook_interval() -> None:
     assert found.is_significant
 
 
-def test_neighbouring_frames_that_err_alike_widen_the_interval() -> None:
+def test_neighboring_frames_that_err_alike_widen_the_interval() -> None:
     noise = np.random.default_rng(2).normal(size=40)
     values = np.repeat(noise, 25)
     dependent = paired_bootstrap([(range(1000), values.tolist())])

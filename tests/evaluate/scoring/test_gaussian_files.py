@@ -1,4 +1,4 @@
-"""ggavatar-render and ggavatar-eval on files of Gaussians: drawn and scored as runs are. Reference: the run itself."""
+"""ggavatar-render and ggavatar-eval on files of Gaussians, rendered and scored like runs. Reference: the run itself."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def capture(tmp_path: Path) -> Capture:
 
 @pytest.fixture
 def plain(tmp_path: Path) -> Path:
-    """The toy avatar as it stands in frame 10."""
+    """The toy avatar as posed in frame 10."""
     run = toy_run(tmp_path / "home")
     with torch.no_grad():
         gaussians = run.avatar.gaussians(run.reader.drive(10))
@@ -77,7 +77,7 @@ def test_plain_file_is_drawn_by_a_captures_cameras(
         drawn = run.rasterize(run.avatar.gaussians(run.reader.drive(10)), camera(), torch.ones(3)).image
     expected = (drawn.clamp(0, 1) * 255).round().numpy()
     assert np.abs(read_rgb(folder / "frames" / "000010.png").astype(float) - expected).max() <= 1
-    assert np.ptp(expected) > 100, "the avatar is in the picture"
+    assert np.ptp(expected) > 100, "the avatar is in the image"
     same = read_rgb(folder / "frames" / "000015.png")
     assert np.array_equal(same, read_rgb(folder / "frames" / "000010.png")), "it stands still, the camera too"
 
@@ -107,7 +107,7 @@ def test_orbit_without_a_capture(
     folder = tmp_path / "baked" / "renders" / "orbit"
     assert len(list((folder / "frames").iterdir())) == 3 and (folder / "novel_views.png").is_file()
     front = read_rgb(folder / "frames" / "000000.png")
-    assert (front < 200).any() and (front[[0, -1]] > 240).all(), "all of it is in the picture"
+    assert (front < 200).any() and (front[[0, -1]] > 240).all(), "all of it is in the image"
     assert render(monkeypatch, bound, *orbit) == 2
     assert render(monkeypatch, bound, *orbit, "--head-model", capture.head_path) == 0
     assert render(monkeypatch, bound, *orbit, "--capture", capture.folder, "--overwrite") == 0

@@ -43,7 +43,7 @@ def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) ->
         drawn = run.rasterize(run.avatar.gaussians(run.reader.drive(12)), run.reader.camera(12), torch.ones(3)).image
     expected = np.rint(drawn.clamp(0, 1).numpy() * 255)
     assert np.array_equal(read_rgb(tmp_path / "out/predictions/000012.png"), expected)
-    assert expected.min() < 150, "the avatar is not in the picture"
+    assert expected.min() < 150, "the avatar is not in the image"
     image, mask = run.capture.image(12).astype(float), run.capture.mask(12)[..., None] / 255
     truth = read_rgb(tmp_path / "out/ground_truth/000012.png")
     assert np.abs(truth - (image * mask + 255 * (1 - mask))).max() <= 0.5 + 1e-4

@@ -25,7 +25,7 @@ OPTIONS = Options(no_learned=True, quiet=True, device="cpu")
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """The toy, which is opened whatever folder is named."""
+    """The toy run, opened for any folder."""
     made = toy_run(tmp_path)
     monkeypatch.setattr(run_evaluation, "open_run", lambda folder, device: made)
     monkeypatch.setattr(run_evaluation, "read_config", lambda folder: made.config)
@@ -53,15 +53,15 @@ def test_a_run_is_rendered_scored_and_labelled(run: Run) -> None:
 
 def test_results_that_are_up_to_date_are_not_made_again(run: Run) -> None:
     first, _ = evaluate_run(run.folder, OPTIONS, silent)
-    picture = run.folder / "eval" / first.protocol.id / "predictions" / f"{first.frames[0]:06d}.png"
-    before = picture.stat().st_mtime_ns
+    image = run.folder / "eval" / first.protocol.id / "predictions" / f"{first.frames[0]:06d}.png"
+    before = image.stat().st_mtime_ns
     assert evaluate_run(run.folder, OPTIONS, silent)[0] == first
-    assert picture.stat().st_mtime_ns == before
+    assert image.stat().st_mtime_ns == before
     assert evaluate_run(run.folder, dataclasses.replace(OPTIONS, again=True), silent)[0].values == first.values
-    assert picture.stat().st_mtime_ns > before
+    assert image.stat().st_mtime_ns > before
 
 
-def test_another_checkpoint_replaces_the_pictures_and_nothing_else(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_checkpoint_replaces_the_images_and_nothing_else(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     first, _ = evaluate_run(run.folder, OPTIONS, silent)
     home = run.folder / "eval" / first.protocol.id
     (home / "mine.txt").write_text("keep")

@@ -1,4 +1,4 @@
-"""Scoring folders: the whole way from files to an evaluation and back."""
+"""Scoring folders: from files to an evaluation and back."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_alpha_is_composited_and_noted(tmp_path: Path) -> None:
         score(pair_folders(predictions, truth), plain(), LABELS)
 
 
-def test_no_frames_are_refused_and_a_damaged_picture_is_named(tmp_path: Path) -> None:
+def test_no_frames_are_refused_and_a_damaged_image_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least one frame"):
         score([], plain(), LABELS)
     pairs = pair_folders(*write_folders(tmp_path, [1, 2]))
