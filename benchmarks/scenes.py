@@ -29,8 +29,9 @@ def head(count: int, size: int, seed: int = 0) -> tuple[Gaussians, Camera]:
     quats = torch.cat((1 + normals[:, 2:], torch.linalg.cross(forward, normals)), dim=1)
     opacities = torch.sigmoid(0.6 + 1.6 * torch.randn(count, generator=generator))
     colors = 0.3 * torch.randn(count, 16, 3, generator=generator)
-    leaves = [tensor.contiguous().requires_grad_() for tensor in (directions * radii, quats, scales, opacities, colors)]
+    values = directions * radii, quats, scales, opacities, colors
+    means, quats, scales, opacities, colors = (tensor.contiguous().requires_grad_() for tensor in values)
     focal = math.sqrt(0.5 * size * size / (math.pi * RADII[0] * RADII[1]))
     intrinsics = torch.tensor([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
     pose = look_at(torch.tensor([0.0, 0.0, 1.0]), torch.zeros(3), torch.tensor([0.0, 1.0, 0.0]))
-    return Gaussians(*leaves), Camera(intrinsics, pose, size, size)
+    return Gaussians(means, quats, scales, opacities, colors), Camera(intrinsics, pose, size, size)

@@ -65,12 +65,8 @@ def comparison(
         first = ", the first in the face" if all(frame.focus is not None for frame in frames) else ""
         note = f"Crops: where the error is largest{first}. {note}"
     if len(names) == 1:
-        headings = [
-            "Ground truth",
-            names[0],
-            *(["Crops: truth, prediction"] if crops else []),
-            f"Error, 0 to {limit:g}",
-        ]
+        middle = ["Crops: truth, prediction"] if crops else []
+        headings = ["Ground truth", names[0], *middle, f"Error, 0 to {limit:g}"]
         return contact_sheet([_single(frame, crops, width, limit) for frame in frames], headings, note)
     spaces = [3 * GAP * (index > 0) for index in range(len(frames))]
     rows = [

@@ -180,11 +180,10 @@ def test_figures_are_written_once(tmp_path: Path) -> None:
     ]
     times = [path.stat().st_mtime_ns for path in files]
     assert [path.stat().st_mtime_ns for path in write_visuals(one, home)] == times
-    pair = write_studies(
-        [one, evaluated(tmp_path, "theirs", 5), evaluated(tmp_path, "ours", 4, subject="b/c")], tmp_path
-    )
-    assert [path.name for path in pair] == ["comparison-toy.png", "report-toy.html"]
-    gallery = write_studies([one, evaluated(tmp_path, "ours", 4, subject="b/c")], tmp_path)
+    other, second_subject = evaluated(tmp_path, "theirs", 5), evaluated(tmp_path, "ours", 4, subject="b/c")
+    study = write_studies([one, other, second_subject], tmp_path)
+    assert [path.name for path in study] == ["comparison-toy.png", "report-toy.html"]
+    gallery = write_studies([one, second_subject], tmp_path)
     assert [path.name for path in gallery] == ["comparison.png"]
     assert write_studies([one], tmp_path) == write_studies([], tmp_path) == []
 
