@@ -48,7 +48,7 @@ def measure_pixels(
 
 
 def _ms_ssim(prediction: Image, truth: Image) -> Value:
-    large = min(prediction.shape[:2]) > ssim.MS_SHORTEST
+    large = min(prediction.shape[:2]) > ssim.MS_MIN_SIDE
     return ssim.ms_ssim(prediction, truth) if large else None
 
 

@@ -12,10 +12,10 @@ from jaxtyping import Float, UInt8
 
 WINDOW, SIGMA = 11, 1.5
 RADIUS = WINDOW // 2
-STRIP = 32
+STRIP_ROWS = 32
 """Rows filtered at once, so that intermediate results stay in the cache."""
 C1, C2 = 0.01**2, 0.03**2
-MS_SHORTEST = 160
+MS_MIN_SIDE = 160
 """The shorter side of an image must exceed this for five scales, px."""
 MS_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales (Wang, Simoncelli & Bovik 2003, Sec. 3.2)."""
@@ -63,7 +63,7 @@ def ms_ssim(prediction: Image, target: Image) -> float:
     Raises:
         ValueError: The shorter side is 160 px or less, so the window does not fit into the fifth scale.
     """
-    if min(prediction.shape[:2]) <= MS_SHORTEST:
+    if min(prediction.shape[:2]) <= MS_MIN_SIDE:
         found = f"{prediction.shape[1]}x{prediction.shape[0]}"
         raise ValueError(f"expected more than 160 px on the shorter side for MS-SSIM, got {found}")
     first, second = _unit(prediction), _unit(target)
@@ -83,8 +83,8 @@ def _terms(first: Image, second: Image) -> tuple[np.ndarray, np.ndarray]:
     """
     x, y = _padded(first), _padded(second)
     luminance, contrast = np.empty((2, *first.shape), np.float32)
-    for top in range(0, len(first), STRIP):
-        rows, reach = slice(top, top + STRIP), slice(top, top + STRIP + 2 * RADIUS)
+    for top in range(0, len(first), STRIP_ROWS):
+        rows, reach = slice(top, top + STRIP_ROWS), slice(top, top + STRIP_ROWS + 2 * RADIUS)
         luminance[rows], contrast[rows] = _strip_terms(_unit(x[reach]), _unit(y[reach]))
     return luminance, contrast
 

@@ -35,7 +35,7 @@ class Evaluation:
         subject: Row of the table.
         method: Column of the table.
         protocol: What was measured.
-        frames: FrameScores source frames, ascending.
+        frames: Scored source frames, ascending.
         values: One value per frame by column; infinite for identical images, None where nothing could be measured.
         seed: Of the training run, if known.
         missing: Reasons by metric that has no value.

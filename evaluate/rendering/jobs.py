@@ -101,8 +101,8 @@ def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
         return _driven(options, run, background)
     if options.orbit:
         return _orbit(options, run, _neutral_view(options, run), run.capture.fps, background)
-    names = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
-    frames = names[options.split]
+    frames_of = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
+    frames = frames_of[options.split]
     views = [View(frame, run.reader.drive(frame), run.reader.camera(frame)) for frame in frames]
     return RenderPlan(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
 

@@ -14,7 +14,7 @@ from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
 from evaluate.scoring.predict import FOLDERS, SUMMARY, PredictionTask, predict_frames, prediction_task
 from evaluate.scoring.region_masks import write_region_masks
-from evaluate.scoring.score import OFF, face_metrics, learned_metrics, score, unavailable
+from evaluate.scoring.score import SWITCHED_OFF, face_metrics, learned_metrics, score, unavailable
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
@@ -102,7 +102,7 @@ def _up_to_date(home: Path, protocol: Protocol, missing: set[str]) -> Evaluation
         found = read_results(home)
     except InputError:
         return None
-    absent = {name for name, reason in found.missing.items() if reason == OFF or reason.startswith(NO_WEIGHTS)}
+    absent = {name for name, reason in found.missing.items() if reason == SWITCHED_OFF or reason.startswith(NO_WEIGHTS)}
     return found if found.protocol.digest == protocol.digest and absent == missing else None
 
 

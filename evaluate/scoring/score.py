@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol as Interface
@@ -20,12 +19,12 @@ from evaluate.scoring.accumulator import Accumulator, FrameScores, Labels
 from evaluate.scoring.frame_pairs import FramePair
 from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
-from ggavatar.io.ordered_map import ordered_map
+from ggavatar.io.ordered_map import cores, ordered_map
 
 Progress = Callable[[int, int], None]
 
-OFF = "learned metrics were switched off"
-INSIDE = ("psnr", "mse", "l1")
+SWITCHED_OFF = "learned metrics were switched off"
+INSIDE_METRICS = ("psnr", "mse", "l1")
 """Metrics that a protocol with a region measures over only the region's pixels."""
 
 
@@ -76,7 +75,7 @@ def score(
     def work(pair: FramePair) -> FrameScores:
         return score_pair(pair, protocol, learned, faces)
 
-    for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, os.cpu_count() or 1)), start=1):
+    for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, cores())), start=1):
         accumulator.add(scored)
         if progress:
             progress(done, len(pairs))
@@ -86,9 +85,9 @@ def score(
 
 def unavailable(protocol: Protocol, learned: LearnedMetrics | None, faces: FaceMetrics | None) -> dict[str, str]:
     """Reasons by metric of the protocol whose network is not available."""
-    missing = dict.fromkeys(learned_names(protocol), OFF) if learned is None else dict(learned.missing)
+    missing = dict.fromkeys(learned_names(protocol), SWITCHED_OFF) if learned is None else dict(learned.missing)
     face_names = [name for name in protocol.metrics if name in FACES]
-    return missing | (dict.fromkeys(face_names, OFF) if faces is None else faces.missing)
+    return missing | (dict.fromkeys(face_names, SWITCHED_OFF) if faces is None else faces.missing)
 
 
 def learned_names(protocol: Protocol) -> list[str]:
@@ -142,7 +141,7 @@ def score_pair(
     images = _inside((prediction.pixels, truth.pixels), weights, protocol)
     values = measure_pixels(*images, _columns(protocol), weights)
     if protocol.region != "full":
-        values |= {name: values.pop(f"{name}@{protocol.region}") for name in INSIDE}
+        values |= {name: values.pop(f"{name}@{protocol.region}") for name in INSIDE_METRICS}
     if learned:
         values |= learned.measure(*images)
     error = None
@@ -167,5 +166,5 @@ def _inside(
 
 def _columns(protocol: Protocol) -> tuple[str, ...]:
     """Names of the pixel metrics of one frame."""
-    inside = () if protocol.region == "full" else tuple(f"{name}@{protocol.region}" for name in INSIDE)
+    inside = () if protocol.region == "full" else tuple(f"{name}@{protocol.region}" for name in INSIDE_METRICS)
     return ("mse", *protocol.columns, *inside)

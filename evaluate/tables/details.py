@@ -15,12 +15,17 @@ from evaluate.tables.comparison import missing_notes
 from evaluate.tables.study import Study
 from evaluate.tables.table import Cell, CellSource, Column, Row, Table, missing_cell, number_cell
 
-SPREAD = (("mean", "mean"), ("median", "median"), ("worst_5_percent", "worst 5 %"), ("std_over_frames", "σ frames"))
+SUMMARY_COLUMNS = (
+    ("mean", "mean"),
+    ("median", "median"),
+    ("worst_5_percent", "worst 5 %"),
+    ("std_over_frames", "σ frames"),
+)
 
 
 def detail_table(study: Study) -> Table:
     """All measured metrics: one row per run and metric, with mean, median, worst 5 % and deviations."""
-    columns = [Column("frames", digits=0), *(Column(title) for _, title in SPREAD), Column("σ seeds")]
+    columns = [Column("frames", digits=0), *(Column(title) for _, title in SUMMARY_COLUMNS), Column("σ seeds")]
     rows: list[Row] = []
     for subject in study.subjects:
         for method in study.methods:
@@ -47,7 +52,8 @@ def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Itera
         where = ((run.subject,), (run.method,), metric)
         cells = [number_cell(float(found.count), 0, CellSource("count", *where, run.seed))]
         cells += [
-            _number(getattr(found, name), digits, reason, CellSource(name, *where, run.seed)) for name, _ in SPREAD
+            _number(getattr(found, name), digits, reason, CellSource(name, *where, run.seed))
+            for name, _ in SUMMARY_COLUMNS
         ]
         deviation = over_seeds if place == 0 else None
         cells.append(_number(deviation, digits, "needs runs with several seeds", CellSource("std_over_seeds", *where)))

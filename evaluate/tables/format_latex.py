@@ -12,20 +12,20 @@ PREAMBLE = r"""% \usepackage[T1]{fontenc} \usepackage[utf8]{inputenc} \usepackag
 """
 """The packages that a document needs to include our tables with \\input."""
 
-WIDE = 6
+MAX_NARROW_COLUMNS = 6
 """A table with more columns than this spans both columns of a page."""
 
-TALL = 45
+MAX_ROWS = 45
 """A table with more rows than this is split into one table per section, so that each fits on a page."""
 
-FITTED = (
+SCALE_BOXES = (
     r"  \resizebox{\ifdim\width>\linewidth \linewidth\else\width\fi}{!}{%",
     r"  \resizebox*{!}{\ifdim\totalheight>0.75\textheight 0.75\textheight\else\totalheight\fi}{%",
 )
 """Boxes that scale their content down to the width and most of the height of a page, but never up."""
 
 COLORS = {BEST: "red!25", SECOND: "yellow!25"}
-SPECIAL = {
+ESCAPES = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
     "%": r"\%",
@@ -62,7 +62,7 @@ def to_latex(tables: Sequence[Table]) -> str:
 def _parts(table: Table) -> Iterator[Table]:
     """The table itself, or one table per section of a tall one; the notes follow the last."""
     sections = list(dict.fromkeys(row.section for row in table.rows))
-    if len(table.rows) <= TALL or len(sections) == 1:
+    if len(table.rows) <= MAX_ROWS or len(sections) == 1:
         yield table
         return
     for section in sections:
@@ -72,10 +72,10 @@ def _parts(table: Table) -> Iterator[Table]:
 
 
 def _table(table: Table) -> str:
-    environment = "table*" if len(table.columns) > WIDE else "table"
+    environment = "table*" if len(table.columns) > MAX_NARROW_COLUMNS else "table"
     lines = [f"\\begin{{{environment}}}[tp]", "  \\centering", f"  \\caption{{{_caption(table)}}}\\smallskip"]
     lines += [
-        *FITTED,
+        *SCALE_BOXES,
         f"  \\begin{{tabular}}{{{_alignment(table)}}}",
         "    \\hline\\hline",
         *_heading(table),
@@ -141,4 +141,4 @@ def escaped(text: str) -> str:
     compiles.
     """
     signed = re.sub(r"(?<![\w-])-(?=\d)", "−", text)
-    return "".join(SPECIAL.get(character, character if ord(character) < 0x180 else "?") for character in signed)
+    return "".join(ESCAPES.get(character, character if ord(character) < 0x180 else "?") for character in signed)

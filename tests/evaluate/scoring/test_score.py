@@ -156,7 +156,7 @@ def test_no_frames_are_refused_and_a_damaged_image_is_named(tmp_path: Path) -> N
         score(pairs, plain(), LABELS)
 
 
-def test_results_of_other_kinds_are_refused(tmp_path: Path) -> None:
+def test_results_of_other_kinds_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "metrics.json"
     for text, message in (
         ("{", "not valid JSON"),
@@ -170,3 +170,6 @@ def test_results_of_other_kinds_are_refused(tmp_path: Path) -> None:
             read_results(path)
     with pytest.raises(InputError, match="no such file"):
         read_results(tmp_path / "absent.json")
+    monkeypatch.setattr("evaluate.protocols.results.MAX_BYTES", 10)
+    with pytest.raises(InputError, match="the limit is"):
+        read_results(path)
