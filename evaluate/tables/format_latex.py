@@ -1,4 +1,8 @@
-"""Tables as LaTeX in the layout of the paper's Tables 1 and 2."""
+"""Tables as LaTeX in the layout of the paper's Tables 1 and 2.
+
+Not by pandas' Styler.to_latex, which sets no section rows, rules between groups, notes or boxes that fit a page, and
+leaves arrows and other symbols unescaped (tried on Table 1).
+"""
 
 from __future__ import annotations
 
