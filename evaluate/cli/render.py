@@ -9,12 +9,12 @@ import tyro
 
 from evaluate.rendering.options import Options, check
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 
 
 def main() -> int:
     """Run the command; the exit code is 0 done, 1 failure, 2 bad input, 130 interrupted."""
-    answer_version("ggavatar-render")
+    handle_version_flag("ggavatar-render")
     options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
 
     def body() -> None:

@@ -21,7 +21,7 @@ import tyro
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError, nearest
 from ggavatar.sweeps.backends import Backend, Job, LocalProcesses, Outcome, RayCluster
 from ggavatar.sweeps.cell import Cell, console_script, train_cell
@@ -70,7 +70,7 @@ class Arguments:
 
 def main() -> int:
     """Entry point of ggavatar-sweep."""
-    answer_version("ggavatar-sweep")
+    handle_version_flag("ggavatar-sweep")
     arguments = tyro.cli(Arguments, prog="ggavatar-sweep")
     return run_command(lambda: sweep(arguments))
 

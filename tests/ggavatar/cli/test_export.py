@@ -15,10 +15,10 @@ from ggavatar.errors import InputError
 from ggavatar.formats import export as exporting
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.imported_run import open_imported_run
-from ggavatar.formats.output_folder import appearing_folder
-from ggavatar.formats.poses import neutral_pose
+from ggavatar.formats.output_folder import atomic_folder
+from ggavatar.formats.poses import neutral_drive
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import activated
+from ggavatar.formats.stored_gaussians import activate
 from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import open_run
 from ggavatar.training.session import train_run
@@ -99,7 +99,7 @@ def test_rows_of_parameters_are_baked(run_folder: Path, toy_capture: Capture, tm
     assert export(run_folder, "--drive", tmp_path / "talk.npz") == 0
     folder = run_folder / "exports" / "talk-ply"
     assert sorted(path.name for path in folder.iterdir()) == ["000000.ply", "000001.ply", "000002.ply"]
-    first, third = (activated(read_gaussian_ply(folder / f"00000{row}.ply")) for row in (0, 2))
+    first, third = (activate(read_gaussian_ply(folder / f"00000{row}.ply")) for row in (0, 2))
     assert float((first.means - third.means).abs().max()) > 1e-4, "it moves"
     np.savez(tmp_path / "other.npz", expression=tracking.expression[:3], version="flame2020")
     assert export(run_folder, "--drive", tmp_path / "other.npz") == 2
@@ -142,8 +142,8 @@ def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: p
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", fail_for_new)
-    with pytest.raises(OSError, match="Input/output"), appearing_folder(folder, overwrite=True) as unfinished:
-        (unfinished / "a").write_text("new")
+    with pytest.raises(OSError, match="Input/output"), atomic_folder(folder, overwrite=True) as temporary:
+        (temporary / "a").write_text("new")
     assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
 
 
@@ -187,12 +187,12 @@ def test_methods_without_a_binding_are_bound_to_the_nearest(
 
 
 def test_methods_with_a_renderer_of_their_own_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ggavatar.cli.export import _drawn_otherwise
+    from ggavatar.cli.export import _renderer_notes
     from ggavatar.training import registry
 
-    assert _drawn_otherwise("ggavatar") == []
+    assert _renderer_notes("ggavatar") == []
     monkeypatch.setattr(registry.load("ggavatar").module, "rasterizer", object(), raising=False)
-    assert "renderer of its own" in _drawn_otherwise("ggavatar")[0]
+    assert "renderer of its own" in _renderer_notes("ggavatar")[0]
 
 
 def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path) -> None:
@@ -200,4 +200,4 @@ def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path
     head = load_head(run.capture.head_path)
     other = dataclasses.replace(head, joint_names=("root", "chin", "neck", "left_eye", "right_eye"))
     with pytest.raises(InputError, match="FLAME's joints"):
-        exporting.export_bound(run, other, neutral_pose(run, head), tmp_path / "x", False)
+        exporting.export_bound(run, other, neutral_drive(run, head).drive, tmp_path / "x", False)

@@ -18,7 +18,7 @@ from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import activated, stored
+from ggavatar.formats.stored_gaussians import activate, to_stored
 from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.gaussians.binding import bind_in_torch
 from ggavatar.geometry.transforms import quaternion_to_matrix
@@ -42,7 +42,7 @@ def test_unbinding_is_the_inverse_of_binding(toy_head: HeadModel) -> None:
         gaussians, means=gaussians.means.double(), quats=gaussians.quats.double(), scales=gaussians.scales.double()
     )
     rows = unbind(double, on_faces(toy_head), frames)
-    local = activated(rows)
+    local = activate(rows)
     placed = bind_in_torch(
         local.means.double(), local.quats.double(), local.scales.double().log(), on_faces(toy_head), frames
     )
@@ -121,7 +121,7 @@ def test_what_a_bound_file_needs_is_said(toy_capture: Capture, tmp_path: Path) -
     path, _ = bound_file(tmp_path, toy_capture)
     with pytest.raises(InputError, match="--head-model FILE"):
         open_gaussians(path, GaussianFileOptions())
-    with pytest.raises(InputError, match="found none"):
+    with pytest.raises(InputError, match="found no such file"):
         open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "no.pkl"))
     rows = read_gaussian_ply(path)
     assert rows.faces is not None
@@ -130,10 +130,10 @@ def test_what_a_bound_file_needs_is_said(toy_capture: Capture, tmp_path: Path) -
         open_gaussians(tmp_path / "far.ply", GaussianFileOptions(), toy_capture)
     head = load_head(toy_capture.head_path)
     save_head(dataclasses.replace(head, version="egg-2"), tmp_path / "other.npz")
-    with pytest.raises(InputError, match="mean different things"):
+    with pytest.raises(InputError, match="whose meaning differs"):
         open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "other.npz"), toy_capture)
-    write_gaussian_ply(tmp_path / "plain.ply", stored(cloud()))
-    with pytest.raises(InputError, match="bound to no head"):
+    write_gaussian_ply(tmp_path / "plain.ply", to_stored(cloud()))
+    with pytest.raises(InputError, match="found no binding_0"):
         open_gaussians(tmp_path / "plain.ply", GaussianFileOptions(head_model=tmp_path / "other.npz"))
 
 
@@ -143,7 +143,7 @@ def test_bindings_are_whole_numbers(toy_capture: Capture, tmp_path: Path, value:
     content = bytearray(path.read_bytes())
     content[-4:] = np.float32(value).tobytes()
     path.write_bytes(bytes(content))
-    with pytest.raises(InputError, match="whole numbers of triangles"):
+    with pytest.raises(InputError, match="indices of triangles"):
         read_gaussian_ply(path)
 
 
@@ -253,7 +253,7 @@ def test_flame_file_with_teeth_offset_and_identity(tmp_path: Path) -> None:
         shape, np.zeros((1, 100), np.float32), np.zeros((1, 5, 3), np.float32), np.zeros((1, 3), np.float32), offset
     )
     write_flame_parameters(tmp_path / "flame_param.npz", zero, FLAME_VERTICES)
-    rows = dataclasses.replace(stored(cloud()), faces=np.full(60, 10143))
+    rows = dataclasses.replace(to_stored(cloud()), faces=np.full(60, 10143))
     write_gaussian_ply(tmp_path / "point_cloud.ply", rows)
     avatar = open_gaussians(tmp_path / "point_cloud.ply", GaussianFileOptions(head_model=tmp_path / "flame2023.npz"))
     assert isinstance(avatar, BoundAvatar)

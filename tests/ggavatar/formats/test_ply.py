@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.ply import MAX_ROWS, read_header
-from ggavatar.formats.stored_gaussians import Stored, stored
+from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
 from tests.support.gaussian_cloud import cloud
 
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -23,11 +23,11 @@ MEBIBYTE = 1 << 20
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("sound") / "a.ply"
-    write_gaussian_ply(path, stored(cloud(5, 1)))
+    write_gaussian_ply(path, to_stored(cloud(5, 1)))
     return path.read_bytes()
 
 
-def outcome(folder: Path, content: bytes) -> Stored | None:
+def outcome(folder: Path, content: bytes) -> StoredGaussians | None:
     """The Gaussians, or None where the file was refused with a message that names it."""
     path = folder / "hostile.ply"
     path.write_bytes(content)
@@ -43,8 +43,8 @@ def outcome(folder: Path, content: bytes) -> Stored | None:
         assert peak < 4 * MEBIBYTE
 
 
-def is_sound(rows: Stored) -> bool:
-    arrays = (rows.means, rows.constant, rows.rest, rows.opacity_logits, rows.log_scales, rows.quats)
+def is_sound(rows: StoredGaussians) -> bool:
+    arrays = (rows.means, rows.sh_dc, rows.sh_rest, rows.opacity_logits, rows.log_scales, rows.quats)
     return all(np.isfinite(array).all() for array in arrays) and len(rows) > 0
 
 
@@ -123,7 +123,7 @@ def poisoned(sound: bytes, column: int, value: float) -> bytes:
 def test_numbers_no_gaussian_has(sound: bytes, tmp_path: Path) -> None:
     header_names = list(_header(tmp_path, sound).properties)
     cases = {("x", 1e9): "positions", ("x", np.nan): "NaN", ("scale_1", 50.0): "scales", ("f_rest_3", np.inf): "NaN"}
-    cases |= {("f_dc_0", 1e6): "colours", ("opacity", np.nan): "NaN"}
+    cases |= {("f_dc_0", 1e6): "colors", ("opacity", np.nan): "NaN"}
     for (name, value), words in cases.items():
         (tmp_path / "a.ply").write_bytes(poisoned(sound, header_names.index(name), value))
         with pytest.raises(InputError, match=words):

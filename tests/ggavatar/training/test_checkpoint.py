@@ -123,11 +123,11 @@ def test_training_state_goes_on_bit_identically(tmp_path: Path) -> None:
 
 
 def test_checkpoint_of_another_method_is_refused() -> None:
-    with pytest.raises(InputError, match="does not fit"):
+    with pytest.raises(InputError, match="does not match"):
         unpack_avatar(torch.nn.Linear(2, 2), {"avatar.other": torch.zeros(1)})
-    with pytest.raises(InputError, match="optimisers"):
+    with pytest.raises(InputError, match="optimizers"):
         unpack_optimizers([], {}, [{}])
 
 
 def test_kept_count_is_at_least_two() -> None:
-    assert checkpoint.KEPT >= 2
+    assert checkpoint.KEPT_CHECKPOINTS >= 2

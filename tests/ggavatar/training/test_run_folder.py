@@ -99,7 +99,7 @@ def test_config_that_is_no_object_is_refused(copy: Path, text: str) -> None:
 def test_any_folder_is_not_a_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected a run folder"):
         read_config(tmp_path)
-    with pytest.raises(InputError, match="nothing there"):
+    with pytest.raises(InputError, match="no such folder"):
         read_config(tmp_path / "absent")
     (tmp_path / "capture.json").write_text("{}")
     with pytest.raises(InputError, match="train on it first"):
