@@ -30,7 +30,7 @@ class Arguments:
     source: Positional[Path]
     """Run folder written by ggavatar-train, or capture folder written by ggavatar-prep."""
     format: str = "ply"
-    """Of a run: ply, splat, spz (for viewers) or gaussian-avatars (bound to the mesh). Of a capture: as listed above."""
+    """Of a run: ply, splat, spz (for viewers) or gaussian-avatars (bound to the mesh). Of a capture: see above."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
     """File or folder to write; RUN/exports/… or CAPTURE-FORMAT if not given."""
     neutral: bool = False

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from ggavatar.training.progress import PLAIN_INTERVAL, RateMeter
+from ggavatar.training.progress import PLAIN_INTERVAL, RateMeter, format_duration
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -42,15 +42,20 @@ def stop_progress() -> None:
 
 
 def _plain_lines(title: str) -> ProgressCallback:
-    meter, last_output = RateMeter(), time.monotonic()
+    started = last_output = time.monotonic()
+    meter: RateMeter | None = None
 
     def show(done: int, total: int) -> None:
-        nonlocal last_output
+        nonlocal last_output, meter
+        if meter is None:  # resumed work does not begin at zero
+            meter = RateMeter(max(done - 1, 0), started)
         now = time.monotonic()
-        if done == total or now - last_output >= PLAIN_INTERVAL:
+        if done == total:
+            sys.stderr.write(f"{title} {done}/{total} in {format_duration(now - started)}\n")
+        elif now - last_output >= PLAIN_INTERVAL:
             last_output = now
             sys.stderr.write(" · ".join((f"{title} {done}/{total}", *meter.describe(done, total))) + "\n")
-            sys.stderr.flush()
+        sys.stderr.flush()
 
     return show
 
@@ -66,11 +71,11 @@ def _bar(title: str) -> ProgressCallback:
 
     def show(done: int, total: int) -> None:
         global _running_bar
+        bar.update(task, completed=done, total=total)
         if _running_bar is not bar:
             stop_progress()
             bar.start()
             _running_bar = bar
-        bar.update(task, completed=done, total=total)
         if done == total:
             stop_progress()
 

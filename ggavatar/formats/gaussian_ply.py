@@ -99,7 +99,9 @@ def _check(path: Path, rows: StoredGaussians) -> None:
                 f"{float(values.max()):g}; the file is damaged or does not hold 3D Gaussians"
             )
     if float(np.linalg.norm(rows.quats, axis=1).min()) < 1e-6:
-        raise InputError(f"{path}: expected quaternions of a length above zero, found some of length zero; export it again")
+        raise InputError(
+            f"{path}: expected quaternions of a length above zero, found some of length zero; export it again"
+        )
 
 
 def write_gaussian_ply(path: Path, rows: StoredGaussians, viewer_axes: bool = True) -> None:

@@ -85,7 +85,9 @@ def _lines(path: Path, stream: IO[bytes]) -> tuple[list[str], int]:
     try:
         return text[:end].decode("ascii").split("\n"), end + len(b"\nend_header\n")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected ASCII text in the header, found other bytes ({error}); {_ADVICE}") from error
+        raise InputError(
+            f"{path}: expected ASCII text in the header, found other bytes ({error}); {_ADVICE}"
+        ) from error
 
 
 def _count(path: Path, body: Sequence[str]) -> int:

@@ -46,7 +46,7 @@ def frame_drives(run: Run, frames: tuple[int, ...]) -> list[NamedDrive]:
 
 
 def file_drives(path: Path, run: Run, head: HeadModel) -> list[NamedDrive]:
-    """The drives in a file of head parameters: one for `ggavatar-render --drive` (docs/rendering.md), or flame_param.npz.
+    """The drives in a file of head parameters: of `ggavatar-render --drive` (docs/rendering.md), or flame_param.npz.
 
     Coefficients are used as they are. Joints that the file does not have are at rest; its cameras are not used.
 

@@ -90,12 +90,17 @@ class ConsoleListener:
 
 
 class RateMeter:
-    """Mean speed since the meter was made, and the time left at that speed."""
+    """Mean speed of some work, and the time left at that speed."""
 
-    def __init__(self, first: int = 0) -> None:
-        """Start the clock when `first` parts of the work are done already."""
+    def __init__(self, first: int = 0, started: float | None = None) -> None:
+        """Measure from a moment at which `first` parts of the work are done.
+
+        Args:
+            first: Parts that are done.
+            started: The moment, as of `time.monotonic`; now by default.
+        """
         self._first = first
-        self._started = time.monotonic()
+        self._started = time.monotonic() if started is None else started
 
     def describe(self, done: int, total: int) -> tuple[str, str]:
         """Speed and time left, as in `("12.5 it/s", "ETA 1:30")`, when `done` of `total` has just been reached."""

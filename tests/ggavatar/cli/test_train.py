@@ -126,7 +126,7 @@ def test_sweep_trains_the_grid_once_and_reports_failures(
     configs = [json.loads(path.read_text()) for path in sorted((tmp_path / "grid").rglob("config.json"))]
     assert [config["seed"] for config in configs] == [7]
     assert sweep.sweep(arguments) == 1
-    assert capfd.readouterr().out.count("finished before") == 1
+    assert capfd.readouterr().out.count("already finished") == 1
 
 
 def test_sweep_refuses_unknown_methods_and_equal_names(tmp_path: Path) -> None:

@@ -100,12 +100,12 @@ def test_noise(tmp_path: Path, content: bytes) -> None:
         (b"binary_little_endian", b"binary_big_endian", "binary_little_endian"),
         (b"property float x\n", b"property list uchar int x\n", "each name once"),
         (b"property float y\n", b"property float x\n", "each name once"),
-        (b"property float x\n", b"property float q\n", "none named x"),
+        (b"property float x\n", b"property float q\n", "found no x"),
         (b"f_rest_8\n", b"f_rest_9\n", "f_rest_0"),
         (b"element vertex 5", b"element chunk 1\nelement vertex 5", "splat-transform"),
         (b"property float nx\n", b"element face 3\n", "each name once"),
-        (b"float opacity", b"double opacity", "cut off"),
-        (b"comment ggavatar", b"comment \xff\xfe", "plain text"),
+        (b"float opacity", b"double opacity", "truncated"),
+        (b"comment ggavatar", b"comment \xff\xfe", "ASCII text"),
     ],
 )
 def test_what_is_wrong_is_said(sound: bytes, tmp_path: Path, old: bytes, new: bytes, words: str) -> None:

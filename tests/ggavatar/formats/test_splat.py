@@ -20,7 +20,7 @@ from ggavatar.core import Gaussians
 from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored_gaussians import SH_SIGNS_180_ABOUT_X, activate, to_stored, rotate_180_about_x
+from ggavatar.formats.stored_gaussians import SH_SIGNS_180_ABOUT_X, activate, rotate_180_about_x, to_stored
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.render.harmonics import sh_basis
