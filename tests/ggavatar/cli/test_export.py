@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -168,10 +170,29 @@ def test_wrong_wishes(
     assert words in shown and "Traceback" not in shown
 
 
+def test_a_device_that_is_not_there_is_one_line(
+    run_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for device, words in (("cuda", "no CUDA device"), ("tpu", "expected auto, cpu, cuda")):
+        assert main([str(run_folder), "--device", device]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("error: --device") and words in line
+
+
 def test_no_run_and_unknown_flags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert export(tmp_path) == 2 and "expected a run folder" in capsys.readouterr().err
     assert export(tmp_path, "--no-such-flag") == 2
     assert export("--help") == 0 and "vhap" in capsys.readouterr().out
+
+
+def test_help_starts_without_torch() -> None:
+    code = (
+        "import sys; from ggavatar.cli.export import main\n"
+        "try: main(['--help'])\nfinally: print('torch' in sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert shown.returncode == 0 and shown.stdout.rstrip().endswith("False")
 
 
 def test_methods_without_a_binding_are_bound_to_the_nearest(

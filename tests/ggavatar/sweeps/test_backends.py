@@ -187,7 +187,7 @@ def test_results_must_be_on_a_shared_folder(
 ) -> None:
     monkeypatch.setattr(sweep, "make_backend", lambda _: Recorder(shared=False))
     assert sweep.sweep(arguments(toy_capture.folder, tmp_path / "grid")) == 1
-    assert "all machines share" in capsys.readouterr().err
+    assert "all machines must share" in capsys.readouterr().err
 
 
 def test_backends_are_chosen_and_their_flags_kept_apart(tmp_path: Path) -> None:
