@@ -88,9 +88,9 @@ def _positions(upper: Float[Tensor, "15 3"], lower: Float[Tensor, "15 3"]) -> Fl
 def teeth_faces() -> Int[Tensor, "168 3"]:
     """Triangles of the teeth in GaussianAvatars' order."""
     faces = []
-    for first, second, *turns in _STRIPS:
+    for first, second, *triangles in _STRIPS:
         for cell in range(STRIP_LENGTH - 1):
             corner = {"A": first + cell, "B": first + cell + 1, "C": second + cell, "D": second + cell + 1}
-            pair = turns[:2] if cell < STRIP_LENGTH // 2 else turns[2:]
+            pair = triangles[:2] if cell < STRIP_LENGTH // 2 else triangles[2:]
             faces += [[corner[letter] for letter in triangle] for triangle in pair]
     return torch.tensor(faces)

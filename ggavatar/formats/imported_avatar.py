@@ -180,12 +180,12 @@ def _check_head(path: Path, head: HeadModel, capture: Capture) -> None:
     """Raise an `InputError` if the capture was tracked with another head model."""
     own = (head.version, head.expression_basis.shape[2], len(head.parents))
     tracking = capture.tracking
-    theirs = (capture.head_version, tracking.expression.shape[1], tracking.joint_rotations.shape[1])
-    if own != theirs:
+    tracked = (capture.head_version, tracking.expression.shape[1], tracking.joint_rotations.shape[1])
+    if own != tracked:
         raise InputError(
-            f"{path}: expected parameters of the head {own[0]} ({own[1]} expressions, {own[2]} joints), the capture "
-            f"has those of {theirs[0]} ({theirs[1]}, {theirs[2]}), whose meaning differs. Add --flame-params FILE, or "
-            "prepare the capture with this head model"
+            f"{path}: expected a capture tracked with the head {own[0]} ({own[1]} expressions, {own[2]} joints), found "
+            f"{tracked[0]} ({tracked[1]}, {tracked[2]}), whose parameters differ in meaning; add --flame-params FILE, "
+            "or prepare the capture with this head model"
         )
 
 

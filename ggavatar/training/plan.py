@@ -40,8 +40,8 @@ class Training:
     def rate_factor(self, step: int) -> float:
         """Factor on all learning rates in a step (from 1): 1, then half a cosine down to `coolest`.
 
-        Without the decay the networks, which move all Gaussians together, oscillate by half a pixel until the last step
-        (docs/experiments/2026-11-22-learning-rate-decay.md).
+        The decay damps the networks, which move all Gaussians together; at a constant rate they oscillate by half a
+        pixel until the last step (docs/experiments/2026-11-22-learning-rate-decay.md).
         """
         begin = (1 - self.cooling) * self.steps
         share = (step - begin) / max(self.steps - begin, 1)

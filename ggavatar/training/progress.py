@@ -126,7 +126,7 @@ def format_duration(seconds: float) -> str:
 
 
 def peak_memory_mib() -> int | None:
-    """Largest resident memory of this process so far, MiB; None where the system does not tell (Windows)."""
+    """Largest resident memory of this process so far, MiB; None where it is unknown (Windows)."""
     try:
         import resource
     except ImportError:

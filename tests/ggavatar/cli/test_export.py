@@ -42,14 +42,14 @@ def export(*arguments: object) -> int:
         return int(leaving.code or 0)
 
 
-def drawn(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
+def rendered(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
     """A frame by the run and by a file of it."""
     run = open_run(run_folder)
     file = open_imported_run(path, GaussianFileOptions(capture=run.capture.folder))
     drive, camera = run.reader.drive(number), run.reader.camera(number)
     with torch.no_grad():
-        pictures = [one.rasterize(one.avatar.gaussians(drive), camera, run.background).image for one in (run, file)]
-    return pictures[0], pictures[1]
+        images = [one.rasterize(one.avatar.gaussians(drive), camera, run.background).image for one in (run, file)]
+    return images[0], images[1]
 
 
 def test_a_frame_is_baked_and_drawn_again(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -58,7 +58,7 @@ def test_a_frame_is_baked_and_drawn_again(run_folder: Path, capsys: pytest.Captu
     path = run_folder / "exports" / f"frame-{number:06d}.ply"
     shown = capsys.readouterr().out
     assert f"wrote {path}" in shown and f"next: ggavatar-render {path}" in shown
-    ours, theirs = drawn(run_folder, number, path)
+    ours, theirs = rendered(run_folder, number, path)
     assert float(ours.std()) > 0.02 and psnr(ours, theirs) > 70
 
 
@@ -71,7 +71,7 @@ def test_bound_layout_moves_like_the_run(
     assert sorted(path.name for path in out.iterdir()) == ["flame_param.npz", "point_cloud.ply"]
     shown = capsys.readouterr().out
     assert "not FLAME" in shown and "--capture" in shown
-    ours, theirs = drawn(run_folder, number, out / "point_cloud.ply")
+    ours, theirs = rendered(run_folder, number, out / "point_cloud.ply")
     assert psnr(ours, theirs) > 70
     run = open_run(run_folder)
     rows = read_gaussian_ply(out / "point_cloud.ply")
@@ -203,7 +203,7 @@ def test_methods_without_a_binding_are_bound_to_the_nearest(
     out = tmp_path / "bound"
     assert export(run_folder, "--format", "gaussian-avatars", "--frame", number, "-o", out) == 0
     assert "bound to the nearest" in capsys.readouterr().out
-    ours, theirs = drawn(run_folder, number, out / "point_cloud.ply")
+    ours, theirs = rendered(run_folder, number, out / "point_cloud.ply")
     assert psnr(ours, theirs) > 70
 
 

@@ -26,7 +26,7 @@ from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
 from ggavatar.optim.parameters import Column, Rows
-from tests.support.gaussian_cloud import cloud, picture, psnr
+from tests.support.gaussian_cloud import cloud, psnr, render
 
 TIMESTEPS = 24
 
@@ -71,7 +71,7 @@ def test_bound_file_gives_back_the_world(toy_capture: Capture, tmp_path: Path) -
     found = avatar.gaussians(head.neutral_drive())
     torch.testing.assert_close(found.means, gaussians.means, atol=1e-6, rtol=0)
     torch.testing.assert_close(found.scales, gaussians.scales, atol=0, rtol=1e-4)
-    assert psnr(picture(found), picture(gaussians)) > 80
+    assert psnr(render(found), render(gaussians)) > 80
     moved = avatar.gaussians(dataclasses.replace(head.neutral_drive(), translation=torch.tensor([0.0, 0.05, 0.0])))
     torch.testing.assert_close(moved.means, gaussians.means + torch.tensor([0.0, 0.05, 0.0]), atol=1e-6, rtol=0)
 
@@ -130,7 +130,7 @@ def test_what_a_bound_file_needs_is_said(toy_capture: Capture, tmp_path: Path) -
         open_gaussians(tmp_path / "far.ply", GaussianFileOptions(), toy_capture)
     head = load_head(toy_capture.head_path)
     save_head(dataclasses.replace(head, version="egg-2"), tmp_path / "other.npz")
-    with pytest.raises(InputError, match="whose meaning differs"):
+    with pytest.raises(InputError, match="differ in meaning"):
         open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "other.npz"), toy_capture)
     write_gaussian_ply(tmp_path / "plain.ply", to_stored(cloud()))
     with pytest.raises(InputError, match="found no binding_0"):

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
-from ggavatar.formats.ply import MAX_ROWS, read_header
+from ggavatar.formats.ply import MAX_ROWS, Header, read_header
 from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
 from tests.support.gaussian_cloud import cloud
 
-MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZING = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 MEBIBYTE = 1 << 20
 
 
@@ -48,7 +48,7 @@ def is_sound(rows: StoredGaussians) -> bool:
     return all(np.isfinite(array).all() for array in arrays) and len(rows) > 0
 
 
-@MANY
+@FUZZING
 @given(data=st.data())
 def test_cut_off(sound: bytes, tmp_path: Path, data: st.DataObject) -> None:
     length = data.draw(st.integers(0, len(sound) - 1))
@@ -56,7 +56,7 @@ def test_cut_off(sound: bytes, tmp_path: Path, data: st.DataObject) -> None:
     assert outcome(tmp_path, sound + sound[:length] + b"x") is None
 
 
-@MANY
+@FUZZING
 @given(data=st.data())
 def test_flipped_bits(sound: bytes, tmp_path: Path, data: st.DataObject) -> None:
     changed = bytearray(sound)
@@ -66,7 +66,7 @@ def test_flipped_bits(sound: bytes, tmp_path: Path, data: st.DataObject) -> None
     assert found is None or is_sound(found)
 
 
-@MANY
+@FUZZING
 @given(count=st.one_of(st.integers(6), st.integers(-(10**6), 4), st.integers(MAX_ROWS - 2, 10**40)))
 def test_absurd_counts(sound: bytes, tmp_path: Path, count: int) -> None:
     assert outcome(tmp_path, sound.replace(b"vertex 5\n", b"vertex %d\n" % count)) is None
@@ -80,14 +80,14 @@ WORDS = st.sampled_from(
 )
 
 
-@MANY
+@FUZZING
 @given(lines=st.lists(st.lists(WORDS, max_size=5).map(" ".join), max_size=12), body=st.binary(max_size=200))
 def test_nonsense_heads(tmp_path: Path, lines: list[str], body: bytes) -> None:
     head = "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""])
     assert outcome(tmp_path, head.encode() + body) is None
 
 
-@MANY
+@FUZZING
 @given(content=st.binary(max_size=400))
 def test_noise(tmp_path: Path, content: bytes) -> None:
     assert outcome(tmp_path, content) is None
@@ -132,7 +132,7 @@ def test_numbers_no_gaussian_has(sound: bytes, tmp_path: Path) -> None:
     assert is_sound(read_gaussian_ply(tmp_path / "a.ply")), "logits of the bytes 0 and 255 are infinite"
 
 
-def _header(folder: Path, content: bytes):  # type: ignore[no-untyped-def]
+def _header(folder: Path, content: bytes) -> Header:
     (folder / "h.ply").write_bytes(content)
     return read_header(folder / "h.ply")
 

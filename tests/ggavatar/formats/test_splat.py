@@ -24,7 +24,7 @@ from ggavatar.formats.stored_gaussians import SH_SIGNS_180_ABOUT_X, activate, ro
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.render.harmonics import sh_basis
-from tests.support.gaussian_cloud import cloud, picture, psnr
+from tests.support.gaussian_cloud import cloud, psnr, render
 
 HALF_TURN = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 WRITERS = {"ply": write_gaussian_ply, "splat": write_splat, "spz": write_spz}
@@ -37,9 +37,9 @@ def test_ply_round_trip_draws_the_same(tmp_path: Path, degree: int, viewer_axes:
     write_gaussian_ply(tmp_path / "a.ply", to_stored(gaussians), viewer_axes)
     found = activate(read_gaussian_ply(tmp_path / "a.ply"))
     assert found.colors.shape == gaussians.colors.shape
-    drawn = picture(gaussians)
-    assert float(drawn.std()) > 0.05, "nothing to see"
-    assert float((picture(found) - drawn).abs().max()) < 1e-5
+    image = render(gaussians)
+    assert float(image.std()) > 0.05, "nothing to see"
+    assert float((render(found) - image).abs().max()) < 1e-5
     assert not list(tmp_path.glob("*.part")) and not list(tmp_path.glob(".*"))
 
 
@@ -81,8 +81,8 @@ def test_names_decide_not_positions(tmp_path: Path) -> None:
 def test_axes_can_be_said_where_a_file_does_not(tmp_path: Path) -> None:
     rows = to_stored(cloud())
     write_gaussian_ply(tmp_path / "world.ply", rotate_180_about_x(rows), viewer_axes=False)
-    assert psnr(picture(activate(read_gaussian_ply(tmp_path / "world.ply", "viewer"))), picture(cloud())) > 80
-    assert psnr(picture(activate(read_gaussian_ply(tmp_path / "world.ply"))), picture(cloud())) < 30
+    assert psnr(render(activate(read_gaussian_ply(tmp_path / "world.ply", "viewer"))), render(cloud())) > 80
+    assert psnr(render(activate(read_gaussian_ply(tmp_path / "world.ply"))), render(cloud())) < 30
 
 
 def test_harmonics_change_signs_under_half_a_turn() -> None:
@@ -133,7 +133,7 @@ def test_splat_records(tmp_path: Path) -> None:
     assert float((found.colors - want).abs().max()) <= 0.5 / 255 + 1e-6
     half_turn = torch.tensor([0.0, 1.0, 0.0, 0.0])
     undone = dataclasses.replace(found, quats=turned_back(found.quats, half_turn))
-    assert psnr(picture(undone), picture(gaussians)) > 40
+    assert psnr(render(undone), render(gaussians)) > 40
 
 
 def turned_back(quats: torch.Tensor, half_turn: torch.Tensor) -> torch.Tensor:
@@ -184,7 +184,7 @@ def test_spz_version_3(tmp_path: Path, degree: int) -> None:
         assert float((found.colors[:, 1:] - gaussians.colors[:, 1:]).abs().max()) <= bound
     turns = quaternion_to_matrix(found.quats) - quaternion_to_matrix(gaussians.quats)
     assert float(turns.abs().max()) < 6e-3
-    assert psnr(picture(found), picture(gaussians)) > 35
+    assert psnr(render(found), render(gaussians)) > 35
     write_spz(tmp_path / "b.spz", to_stored(gaussians))
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
@@ -221,4 +221,4 @@ def test_an_independent_program_reads_what_we_write(
     assert ran.returncode == 0, ran.stdout + ran.stderr
     found = read_gaussian_ply(tmp_path / "theirs.ply", axes="viewer")
     assert len(found) == 60 and found.degree == degree
-    assert psnr(picture(activate(found)), picture(gaussians)) > least
+    assert psnr(render(activate(found)), render(gaussians)) > least
