@@ -9,7 +9,7 @@ from ggavatar.optim.schedules import PAPER_STEPS
 
 
 @dataclass(frozen=True)
-class Training:
+class TrainingPlan:
     """The settings of the training loop, which are the same for all methods."""
 
     steps: int = 6_000
@@ -58,7 +58,7 @@ class Training:
         return width, height
 
 
-def preset(name: str, device: str) -> Training:
+def preset(name: str, device: str) -> TrainingPlan:
     """The settings of a preset.
 
     Args:
@@ -67,7 +67,7 @@ def preset(name: str, device: str) -> Training:
         device: `cpu`, or another device, for which the default is longer.
     """
     if name == "paper":
-        return Training(
+        return TrainingPlan(
             PAPER_STEPS,
             resolutions=(),
             cooling=0.0,
@@ -79,5 +79,9 @@ def preset(name: str, device: str) -> Training:
         )
     if device != "cpu":
         steps = 30_000 if name == "default" else 5_000
-        return Training(steps, resolutions=(), eval_frames=8, save_every=2_500, max_gaussians=200_000)
-    return Training() if name == "default" else Training(1_500, eval_every=500, save_every=500, max_gaussians=20_000)
+        return TrainingPlan(steps, resolutions=(), eval_frames=8, save_every=2_500, max_gaussians=200_000)
+    return (
+        TrainingPlan()
+        if name == "default"
+        else TrainingPlan(1_500, eval_every=500, save_every=500, max_gaussians=20_000)
+    )

@@ -31,7 +31,7 @@ from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
-from ggavatar.training.plan import Training
+from ggavatar.training.plan import TrainingPlan
 
 SCHEMA, VERSION = "ggavatar-run", 1
 SAMPLE_COUNT, SAMPLE_SIDE = 16, 256
@@ -58,7 +58,7 @@ class RunConfig:
     """The rasterizer, as in `ggavatar.render.backends`."""
     preset: str = "default"
     """The preset that the other values were derived from."""
-    training: Training = field(default_factory=Training)
+    training: TrainingPlan = field(default_factory=TrainingPlan)
     """Settings of the training loop."""
     method_config: dict[str, Any] = field(default_factory=dict)
     """Every setting of the method."""

@@ -27,7 +27,7 @@ from ggavatar.training.checkpoint import (
     unpack_optimizers,
 )
 from ggavatar.training.journal import Journal
-from ggavatar.training.plan import Training
+from ggavatar.training.plan import TrainingPlan
 from ggavatar.training.progress import Listener
 
 
@@ -127,7 +127,7 @@ class Trainer:
     split: Split
     rasterize: Rasterizer
     background: Tensor
-    plan: Training
+    plan: TrainingPlan
     seed: int
     folder: Path
     listener: Listener

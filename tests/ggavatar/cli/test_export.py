@@ -1,4 +1,4 @@
-"""ggavatar-export as a user meets it: what it writes, what it says, what it refuses, nothing left behind."""
+"""The command ggavatar-export: files, messages, refusals, and nothing left behind after a failure."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.support.gaussian_cloud import psnr
 
 @pytest.fixture(scope="module")
 def run_folder(toy_capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a few steps: what is exported need not be a good likeness."""
+    """A run of a few steps; the quality of the avatar does not matter."""
     folder = tmp_path_factory.mktemp("trained") / "run"
     train_run(toy_capture.folder, folder, {"steps": 4, "device": "cpu", "set": ["perceptual_weight=0"]}, quiet=True)
     return folder
@@ -43,7 +43,7 @@ def export(*arguments: object) -> int:
 
 
 def rendered(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
-    """A frame by the run and by a file of it."""
+    """The image of a frame by the run, and by a file exported from it."""
     run = open_run(run_folder)
     file = open_imported_run(path, GaussianFileOptions(capture=run.capture.folder))
     drive, camera = run.reader.drive(number), run.reader.camera(number)
@@ -108,7 +108,9 @@ def test_rows_of_parameters_are_baked(run_folder: Path, toy_capture: Capture, tm
     assert run.step == 4
 
 
-def test_what_exists_stays_unless_said(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_files_are_replaced_only_on_request(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "a.ply"
     path.write_text("mine")
     assert export(run_folder, "-o", path) == 2 and "--overwrite" in capsys.readouterr().err
@@ -162,7 +164,7 @@ def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: p
         (("--step", "3"), "complete checkpoints"),
     ],
 )
-def test_wrong_wishes(
+def test_wrong_arguments(
     run_folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
 ) -> None:
     assert export(run_folder, *arguments) == 2

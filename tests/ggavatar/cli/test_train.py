@@ -1,4 +1,4 @@
-"""ggavatar-train and ggavatar-sweep from the outside: exit codes, messages, nothing lost."""
+"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def test_unbinding_is_the_inverse_of_binding(toy_head: HeadModel) -> None:
 
 
 def bound_file(folder: Path, capture: Capture) -> tuple[Path, Gaussians]:
-    """Gaussians around the toy head as a bound file, and as they stand in the first frame."""
+    """Gaussians around the toy head as a bound file, and in world space."""
     head = load_head(capture.head_path)
     drive = head.neutral_drive()
     gaussians = cloud()
@@ -181,7 +181,7 @@ def test_flame_parameters_round_trip_and_their_faults(tmp_path: Path) -> None:
 
 
 def flame_sized(seed: int) -> HeadModel:
-    """A head with FLAME's numbers of vertices, triangles and joints, its lips a known distance apart."""
+    """A head with as many vertices, triangles and joints as FLAME, and lips at a known distance."""
     random = torch.Generator().manual_seed(seed)
     template = torch.rand(FLAME_VERTICES, 3, generator=random) * 0.2
     across = torch.linspace(-0.02, 0.02, 15)

@@ -63,7 +63,7 @@ def test_ply_is_what_other_programs_expect(tmp_path: Path) -> None:
 
 
 def test_names_decide_not_positions(tmp_path: Path) -> None:
-    """A file of another writer: other order, doubles, a column more, no normals."""
+    """A file of another writer: another order, doubles, an additional property, no normals."""
     rows = to_stored(cloud(degree=1))
     write_gaussian_ply(tmp_path / "a.ply", rows, viewer_axes=False)
     vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"].data
@@ -107,7 +107,7 @@ def test_opacities_and_scales_at_their_ends_stay_finite() -> None:
 
 
 def read_splat(path: Path) -> Gaussians:
-    """A decoder of its own: 32 bytes a record."""
+    """An independent decoder: 32 bytes per record."""
     raw = np.frombuffer(path.read_bytes(), np.uint8).reshape(-1, 32)
     floats = raw[:, :24].copy().view("<f4")
     return Gaussians(
@@ -143,7 +143,7 @@ def turned_back(quats: torch.Tensor, half_turn: torch.Tensor) -> torch.Tensor:
 
 
 def read_spz(path: Path) -> Gaussians:
-    """A decoder of its own for version 3, from the public description of the format."""
+    """An independent decoder of version 3, written from the public description of the format."""
     data = gzip.decompress(path.read_bytes())
     magic, version, count, degree, bits, flags, reserved = struct.unpack("<IIIBBBB", data[:16])
     assert (magic, version, flags, reserved) == (0x5053474E, 3, 0, 0)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
-from ggavatar.training.plan import Training, preset
+from ggavatar.training.plan import TrainingPlan, preset
 from ggavatar.training.trainer import step_with_rate_factor
 
 
@@ -25,13 +25,13 @@ def test_constants_scale_with_the_length() -> None:
 
 
 def test_coarse_to_fine_in_thirds() -> None:
-    plan = Training(steps=100, resolutions=((0.25, 0.25), (0.25, 0.5)), smallest=64)
+    plan = TrainingPlan(steps=100, resolutions=((0.25, 0.25), (0.25, 0.5)), smallest=64)
     sizes = [plan.size_at(step, 512, 256) for step in (1, 25, 26, 50, 51, 100)]
     assert sizes == [(128, 64)] * 2 + [(256, 128)] * 2 + [(512, 256)] * 2
 
 
 def test_small_frames_are_not_shrunk_below_the_limit() -> None:
-    plan = Training(steps=100, resolutions=((0.5, 0.25),), smallest=128)
+    plan = TrainingPlan(steps=100, resolutions=((0.5, 0.25),), smallest=128)
     assert plan.size_at(1, 160, 160) == (128, 128)
     assert plan.size_at(1, 48, 48) == (48, 48)
 
@@ -43,7 +43,7 @@ def test_paper_preset_is_as_printed() -> None:
 
 
 def test_rates_cool_down_by_half_a_cosine() -> None:
-    plan = Training(steps=1_000, cooling=0.4, coolest=0.02)
+    plan = TrainingPlan(steps=1_000, cooling=0.4, coolest=0.02)
     assert plan.rate_factor(1) == plan.rate_factor(600) == 1
     assert plan.rate_factor(800) == pytest.approx(0.51)
     assert plan.rate_factor(1_000) == pytest.approx(0.02)
@@ -53,7 +53,7 @@ def test_rates_cool_down_by_half_a_cosine() -> None:
 
 @given(steps=st.integers(1, 400), cooling=st.floats(0, 1), coolest=st.floats(0, 1))
 def test_factors_on_rates_stay_between_the_coolest_and_one(steps: int, cooling: float, coolest: float) -> None:
-    plan = Training(steps=steps, cooling=cooling, coolest=coolest)
+    plan = TrainingPlan(steps=steps, cooling=cooling, coolest=coolest)
     assert all(coolest - 1e-9 <= plan.rate_factor(step) <= 1 + 1e-9 for step in range(1, steps + 1))
 
 

@@ -1,4 +1,4 @@
-"""What a training says: plain lines, a journal that survives a crash, and times that people can read."""
+"""Progress of a training: plain lines, a journal that survives a crash, readable durations."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_plain_lines_come_at_intervals_and_at_the_end(
     assert shown[-1].startswith("step 100/100") and "test 27.12 dB" in shown[-1] and "MiB" in shown[-1]
 
 
-def test_clock() -> None:
+def test_durations() -> None:
     assert [format_duration(seconds) for seconds in (0.0, 59.6, 61.0, 3600.0, 7325.0)] == [
         "0:00",
         "1:00",

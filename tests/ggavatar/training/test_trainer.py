@@ -1,4 +1,4 @@
-"""Training on a toy: it learns, repeats itself bit by bit, and goes on bit by bit after any interruption."""
+"""Training on a toy capture: it learns, is reproducible to the bit, and so is a run resumed after any interruption."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class StopAt:
 
 @pytest.mark.parametrize("steps", [(9,), (10, 20), (15, 31), (25, 26)])
 def test_resume_is_bit_identical(straight: Path, toy_capture: Capture, tmp_path: Path, steps: tuple[int, ...]) -> None:
-    """Broken off right before, at and after density rounds, a change of stage and a regular checkpoint."""
+    """Interrupted right before, at and after density rounds, a change of stage and a regular checkpoint."""
     folder = tmp_path / "broken"
     for step in (*steps, 1000):
         trainer, stop = start(toy_capture, folder), StopSignals()
@@ -119,7 +119,7 @@ def test_resume_is_bit_identical(straight: Path, toy_capture: Capture, tmp_path:
 
 
 def test_kill_loses_nothing_but_time(straight: Path, toy_capture: Capture, tmp_path: Path) -> None:
-    """kill -9 in the middle, with a torn checkpoint on top; resumed, the run equals the one without interruption."""
+    """kill -9 in the middle, with a damaged checkpoint beside; the resumed run equals the one without interruption."""
     folder = tmp_path / "killed"
     start(toy_capture, folder)
     code = (
@@ -154,7 +154,7 @@ def mean_psnr(avatar: Any, trainer: Trainer) -> float:
 
 @pytest.mark.parametrize("name", sorted(registry.names()))
 def test_every_method_learns_and_reopens(name: str, toy_capture: Capture, tmp_path: Path) -> None:
-    """Test PSNR rises by decibels; reopened, it draws the same to the last bit, also for a drive no frame had."""
+    """Test PSNR rises by decibels; the reopened avatar is bit-identical, also for a drive that no frame has."""
     settings = [text for text in SETTINGS if text.split("=")[0] in registry.load(name).config().__dataclass_fields__]
     trainer = start(toy_capture, tmp_path / "run", method=name, set=settings)
     before = mean_psnr(trainer.avatar.eval(), trainer)
