@@ -32,7 +32,7 @@ sys.exit({code} if not folder.name.endswith("-pilot") else {pilot_code})
 
 
 def stub(folder: Path, monkeypatch: pytest.MonkeyPatch, code: int = 0, pilot_code: int = 0) -> Path:
-    """A ggavatar-train that logs 0.5 s per step after 30 s of start-up; returns the file in which it lists its calls."""
+    """A ggavatar-train that logs 0.5 s per step after 30 s of start-up; returns the list of its calls."""
     script = folder / "ggavatar-train"
     script.write_text(STUB.format(python=sys.executable, code=code, pilot_code=pilot_code))
     script.chmod(0o755)
