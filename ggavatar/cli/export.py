@@ -34,7 +34,7 @@ class Arguments:
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
     """File or folder to write; RUN/exports/… or CAPTURE-FORMAT if not given."""
     neutral: bool = False
-    """Export the neutral face; the default."""
+    """Export the neutral face, as without --frame and --drive."""
     frame: tuple[int, ...] = ()
     """Export these source frames of the run's capture, one file each."""
     drive: Path | None = None
