@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from evaluate.protocols.protocol import PROTOCOLS, Protocol, protocol_by_name
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions
@@ -139,7 +139,7 @@ def parse(arguments: list[str] | None) -> Options:
     Raises:
         InputError: Neither runs nor folders, both, or only one of --pred and --gt.
     """
-    answer_version("ggavatar-eval", arguments)
+    handle_version_flag("ggavatar-eval", arguments)
     options = tyro.cli(Options, prog="ggavatar-eval", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
     given = (options.folders.pred is not None, options.folders.gt is not None)
     if any(given) and not all(given):

@@ -20,6 +20,7 @@ from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
 from evaluate.tables.write import build_tables, write_copies, write_tables
+from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
@@ -38,12 +39,12 @@ def _evaluate(options: Options) -> int:
     """Score the given runs or folders, write and print tables and figures, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = read_limits(options.gates)
-    evaluations, written = _collect(options, console)
+    evaluations, written = _collect(options)
     tables = build_tables(evaluations, options.layout, options.with_paper)
     folder = _table_folder(options)
     written += write_tables(tables, folder, _result_files(options, evaluations, folder))
     if not options.no_report:
-        written += _write_figures(options, evaluations, folder, console)
+        written += _write_figures(options, evaluations, folder)
     if options.table:
         console.print()
         for table in (table for table in tables if table.name not in ("detail", "sources")):
@@ -82,10 +83,10 @@ def _finish(options: Options, evaluations: list[Evaluation], written: list[Path]
     return 0
 
 
-def _collect(options: Options, console: Console) -> tuple[list[Evaluation], list[Path]]:
+def _collect(options: Options) -> tuple[list[Evaluation], list[Path]]:
     """Evaluations of the given runs or folders, and the files written for them."""
     if options.folders.pred:
-        evaluation = score_folders(options, _progress(options, console, "scoring"))
+        evaluation = score_folders(options, show_progress("scoring", options.quiet))
         return [evaluation], write_results(evaluation, _table_folder(options))
     evaluations: list[Evaluation] = []
     written: list[Path] = []
@@ -95,7 +96,7 @@ def _collect(options: Options, console: Console) -> tuple[list[Evaluation], list
             continue
         from evaluate.scoring.run import evaluate_run
 
-        evaluation, files = evaluate_run(path, options, lambda title: _progress(options, console, title))
+        evaluation, files = evaluate_run(path, options, lambda title: show_progress(title, options.quiet))
         evaluations.append(evaluation)
         written += files
     if options.labels:
@@ -134,7 +135,7 @@ def folder_protocol(options: Options) -> Protocol:
     return protocol.override(regions=known)
 
 
-def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:
+def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
     """Write report, comparison, video and curves of every evaluation with images, and comparisons of methods."""
     from evaluate.figures.evaluation_images import EvaluationImages
     from evaluate.figures.write import write_studies, write_visuals
@@ -150,7 +151,7 @@ def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: 
         ]
     written: list[Path] = []
     for home, images in found:
-        written += write_visuals(images, home, _progress(options, console, "drawing"))
+        written += write_visuals(images, home, show_progress("drawing", options.quiet))
     return written + write_studies([images for _, images in found], folder)
 
 
@@ -172,21 +173,6 @@ def _table_folder(options: Options) -> Path:
         path = results_folder(options.runs[0])
         return path.parent if path.is_file() else path
     return Path("evaluation")
-
-
-def _progress(options: Options, console: Console, title: str) -> Callable[[int, int], None] | None:
-    """A live line on a terminal, a line per tenth elsewhere."""
-    if options.quiet:
-        return None
-    stderr = Console(stderr=True)
-
-    def show_progress(done: int, total: int) -> None:
-        if stderr.is_terminal:
-            stderr.print(f"{title} {done}/{total}", end="\n" if done == total else "\r", highlight=False)
-        elif done * 10 // total != (done - 1) * 10 // total:
-            stderr.print(f"{title} {done}/{total}", highlight=False)
-
-    return show_progress
 
 
 def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks: Sequence[Check]) -> dict[str, Any]:

@@ -1,27 +1,27 @@
-"""What a process that trains or renders says to the system first: idle threads sleep, freed memory stays at hand."""
+"""Process-wide OpenMP and malloc settings, for training and rendering."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 
-KEPT_BLOCK, KEPT_HEAP = 1 << 25, 1 << 29
-"""Blocks up to 32 MiB come from the heap, and up to 512 MiB of it stay with the process when they are freed."""
+MMAP_THRESHOLD, TRIM_THRESHOLD = 1 << 25, 1 << 29
+"""Blocks of up to 32 MiB come from the heap, of which up to 512 MiB stay with the process when they are freed."""
 
 
 def prepare_process() -> None:
-    """Call before torch is imported; what the user has set in the environment stays."""
-    # Idle OpenMP threads would spin on the cores our own threads work on.
+    """Apply the settings; call it before torch is imported. Environment variables that the user has set are kept."""
+    # Idle OpenMP threads would otherwise spin on the cores that our own threads use.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     _keep_freed_memory()
 
 
 def _keep_freed_memory() -> None:
-    """Otherwise every step gives tens of megabytes back and pays thousands of page faults to get them again."""
-    trim_threshold, mmap_threshold = -1, -3  # malloc.h of glibc; other libraries have no mallopt
+    """Keep freed memory in the process: otherwise every step returns tens of MiB and page-faults them in again."""
+    m_trim_threshold, m_mmap_threshold = -1, -3  # malloc.h of glibc; other C libraries have no mallopt
     try:
-        tune = ctypes.CDLL(None).mallopt
+        mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError, TypeError):
         return
-    tune(trim_threshold, KEPT_HEAP)
-    tune(mmap_threshold, KEPT_BLOCK)
+    mallopt(m_trim_threshold, TRIM_THRESHOLD)
+    mallopt(m_mmap_threshold, MMAP_THRESHOLD)

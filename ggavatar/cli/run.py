@@ -1,4 +1,4 @@
-"""How a command turns exceptions into one message and an exit code."""
+"""The body of every command: exceptions become one message on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -8,20 +8,24 @@ import sys
 from collections.abc import Callable
 
 from ggavatar.cli.process import prepare_process
+from ggavatar.cli.progress import stop_progress
 from ggavatar.errors import EXIT_FAILURE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_USAGE, GateError, InputError
 
 
 def run_command(main: Callable[[], int | None]) -> int:
-    """Run the body of a command and return its exit code; foreseeable failures become one message on stderr."""
+    """Run the body of a command and return its exit code; expected failures become one message on stderr."""
     prepare_process()
     try:
-        return main() or 0
+        try:
+            return main() or 0
+        finally:
+            stop_progress()
     except InputError as error:
         return _report("error", error, EXIT_USAGE)
     except GateError as error:
         return _report("gate failed", error, EXIT_GATE)
     except KeyboardInterrupt as error:
-        return _report("interrupted", str(error) or "nothing more was written", EXIT_INTERRUPTED)
+        return _report("interrupted", str(error) or "no further files were written", EXIT_INTERRUPTED)
     except MemoryError as error:
         return _report("out of memory", f"{error}; use fewer frames, a smaller --size or fewer Gaussians", EXIT_FAILURE)
     except BrokenPipeError:
@@ -33,7 +37,7 @@ def run_command(main: Callable[[], int | None]) -> int:
 
 
 def _next_step(code: int | None) -> str:
-    """What to do about an operating-system error."""
+    """What the user can do about an error of the operating system."""
     steps = {
         errno.ENOSPC: "; free some space or choose another folder with -o, then run the same command again",
         errno.EACCES: "; check the permissions or choose another folder with -o",

@@ -1,7 +1,8 @@
-"""ggavatar-train: from a capture to a run folder."""
+"""ggavatar-train: train an avatar on a capture and write a run folder."""
 
 from __future__ import annotations
 
+import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import tyro
 from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
 
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 from ggavatar.training import registry
 
@@ -23,42 +24,42 @@ class Arguments:
     capture: Positional[Path]
     """Folder written by ggavatar-prep."""
     method: Positional[str] = "ggavatar"
-    """Method or variant; the list is below."""
+    """Method or variant, as listed above."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="RUN")] = None
-    """Folder of the run; needed."""
+    """Folder of the run (required)."""
     preset: Literal["default", "fast", "paper"] | None = None
-    """default: for the device at hand; fast: a look within minutes; paper: the printed 120,000 iterations."""
+    """default: suited to the device; fast: a preview within minutes; paper: 120,000 steps, as published."""
     steps: int | None = None
-    """Length of the training; every schedule scales with it."""
+    """Number of training steps; every schedule scales with it."""
     seed: int | None = None
-    """From which every random number derives; 42 by default."""
+    """Seed of all random numbers; 42 if not given."""
     device: str | None = None
     """auto, cpu, cuda or cuda:N."""
     backend: str | None = None
-    """Rasteriser: auto, cpu, reference or gsplat."""
+    """Rasterizer: auto, cpu, reference or gsplat."""
     split: str | None = None
     """Frames to train and test on: every-20th (as in the paper), last-350, last-500, ratio-0.8 or file:PATH."""
     background: str | None = None
-    """white, black or R,G,B in 0 to 1."""
+    """white, black, or R,G,B from 0 to 1."""
     max_gaussians: int | None = None
     """Largest number of Gaussians."""
     eval_every: int | None = None
-    """Steps between two looks at test frames; 0 is never."""
+    """Steps between two evaluations on test frames; 0 is never."""
     save_every: int | None = None
     """Steps between two checkpoints."""
     set: UseAppendAction[tuple[str, ...]] = ()
     """A setting of the method, as field=value; may be repeated."""
     resume: bool = False
-    """Go on with the run in the output folder."""
+    """Continue the run in the output folder from its last checkpoint."""
     overwrite: bool = False
-    """Begin again in the output folder, removing the run that is there."""
+    """Replace the run in the output folder."""
     quiet: Annotated[bool, arg(aliases=["-q"])] = False
-    """Print nothing but errors."""
+    """Print errors only."""
 
 
 def train() -> int:
     """Entry point of ggavatar-train."""
-    answer_version("ggavatar-train")
+    handle_version_flag("ggavatar-train")
     arguments = tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
     return run_command(lambda: _train(arguments))
 
@@ -69,19 +70,19 @@ def _description() -> str:
 
 
 def _train(arguments: Arguments) -> int:
-    from ggavatar.training.session import Interrupted, train_run
+    from ggavatar.training.session import TrainingInterrupted, train_run
     from ggavatar.training.trainer import TrainingError
 
     if arguments.output is None:
-        raise InputError("expected a folder for the run; add -o RUN")
+        raise InputError("expected a folder for the run, found none; add -o RUN")
     if arguments.resume and arguments.overwrite:
-        raise InputError("--resume and --overwrite exclude each other; choose one")
+        raise InputError("--resume and --overwrite are mutually exclusive; leave one out")
     try:
         step = train_run(arguments.capture, arguments.output, options_of(arguments), arguments.quiet)
-    except Interrupted as stop:
-        again = f"ggavatar-train {arguments.capture} -o {arguments.output} --resume"
-        sys.stderr.write(f"stopped at step {stop.step}, saved; go on with: {again}\n")
-        return EXIT_TERMINATED if stop.signal == 15 else EXIT_INTERRUPTED
+    except TrainingInterrupted as stop:
+        command = f"ggavatar-train {arguments.capture} -o {arguments.output} --resume"
+        sys.stderr.write(f"stopped and saved at step {stop.step}; resume with: {command}\n")
+        return EXIT_TERMINATED if stop.signal == signal.SIGTERM else EXIT_INTERRUPTED
     except TrainingError as error:
         sys.stderr.write(f"error: {error}\n")
         return EXIT_FAILURE
@@ -91,7 +92,7 @@ def _train(arguments: Arguments) -> int:
 
 
 def options_of(arguments: Arguments) -> dict[str, Any]:
-    """What the user asked for, by name; what was left open is absent."""
+    """The options that the user has given, by name."""
     names = (
         "method",
         "preset",

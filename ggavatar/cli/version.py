@@ -1,4 +1,4 @@
-"""What every command answers to --version."""
+"""The flag --version of every command."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import sys
 from collections.abc import Sequence
 
 
-def answer_version(program: str, arguments: Sequence[str] | None = None) -> None:
-    """Print the program's name and version and end it with code 0, if `--version` is among its arguments.
+def handle_version_flag(program: str, arguments: Sequence[str] | None = None) -> None:
+    """Print the program's name and version and exit with code 0 if `--version` is among its arguments.
 
     Args:
         program: Name of the command.
-        arguments: Those of the command line by default.
+        arguments: Its arguments; those of the command line by default.
     """
     if "--version" in (sys.argv[1:] if arguments is None else arguments):
         sys.stdout.write(f"{program} {importlib.metadata.version('ggavatar')}\n")

@@ -1,7 +1,7 @@
 """The teeth that VHAP and GaussianAvatars add to FLAME: 120 vertices and 168 triangles behind the lips.
 
-GaussianAvatars' files number triangles of the head with teeth, so their order is theirs: two rows of four strips of 15
-vertices each, the outer and inner side of the upper and the lower teeth.
+GaussianAvatars' files refer to triangles of the head with teeth by index, so the order of vertices and triangles here
+is theirs: eight strips of 15 vertices, the roots and edges of the upper and lower teeth, front and back.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from ggavatar.head.model import HeadModel
 
 FLAME_VERTICES, FLAME_FACES = 5023, 9976
 WITH_TEETH_VERTICES, WITH_TEETH_FACES = 5143, 10144
-RING = 15
+STRIP_LENGTH = 15
 UPPER_LIP = (1713, 1715, 1716, 1735, 1696, 1694, 1657, 3543, 2774, 2811, 2813, 2850, 2833, 2832, 2830)
 LOWER_LIP = (1576, 1577, 1773, 1774, 1795, 1802, 1865, 3503, 2948, 2905, 2898, 2881, 2880, 2713, 2712)
 
-_UPPER_ROOT, _LOWER_ROOT, _UPPER_EDGE, _LOWER_EDGE = (FLAME_VERTICES + RING * strip for strip in range(4))
+_UPPER_ROOT, _LOWER_ROOT, _UPPER_EDGE, _LOWER_EDGE = (FLAME_VERTICES + STRIP_LENGTH * strip for strip in range(4))
 _UPPER_ROOT_BACK, _UPPER_EDGE_BACK, _LOWER_ROOT_BACK, _LOWER_EDGE_BACK = (
-    FLAME_VERTICES + RING * strip for strip in range(4, 8)
+    FLAME_VERTICES + STRIP_LENGTH * strip for strip in range(4, 8)
 )
 _STRIPS = (
     (_UPPER_ROOT, _UPPER_EDGE, "ADC", "ABD", "ABC", "BDC"),
@@ -32,26 +32,26 @@ _STRIPS = (
     (_LOWER_ROOT_BACK, _LOWER_EDGE_BACK, "ADC", "ABD", "ABC", "BDC"),
     (_LOWER_EDGE, _LOWER_EDGE_BACK, "CDA", "DBA", "CBA", "CDB"),
 )
-"""Two rows of vertices, and the pair of triangles of every cell: two for the right half, two for the left."""
+"""Two rows of vertices, and the pair of triangles of each of their cells: two for the right half, two for the left."""
 
 
 def with_teeth(mean: HeadModel, head: HeadModel) -> HeadModel:
     """A FLAME head with teeth.
 
     Args:
-        mean: FLAME without identity: the teeth are built in its mouth.
-        head: The same with an identity, which moves the teeth as the mean of the two lips.
+        mean: FLAME without identity; the teeth are built in its mouth.
+        head: FLAME with an identity, which moves the teeth as much as the mean of the two lips.
 
     References:
-        VHAP (Qian 2024): upper teeth hang on the neck joint, lower ones on the jaw; no expression or corrective
-        moves them.
+        VHAP (Qian 2024): the upper teeth follow the neck joint, the lower ones the jaw; expressions and pose
+        correctives do not move them.
     """
     lips = torch.tensor([UPPER_LIP, LOWER_LIP])
     moved = (head.template - mean.template)[lips].mean(0).repeat(8, 1)
     template = torch.cat((head.template, _positions(*mean.template[lips].unbind(0)) + moved))
     count = WITH_TEETH_VERTICES - FLAME_VERTICES
     weights = head.skinning_weights.new_zeros(count, len(head.parents))
-    lower = torch.tensor([strip in (1, 3, 6, 7) for strip in range(8)]).repeat_interleave(RING)
+    lower = torch.tensor([strip in (1, 3, 6, 7) for strip in range(8)]).repeat_interleave(STRIP_LENGTH)
     weights[~lower, head.joint("neck")] = 1
     weights[lower, head.joint("jaw")] = 1
 
@@ -88,9 +88,9 @@ def _positions(upper: Float[Tensor, "15 3"], lower: Float[Tensor, "15 3"]) -> Fl
 def teeth_faces() -> Int[Tensor, "168 3"]:
     """Triangles of the teeth in GaussianAvatars' order."""
     faces = []
-    for first, second, *turns in _STRIPS:
-        for cell in range(RING - 1):
+    for first, second, *triangles in _STRIPS:
+        for cell in range(STRIP_LENGTH - 1):
             corner = {"A": first + cell, "B": first + cell + 1, "C": second + cell, "D": second + cell + 1}
-            pair = turns[:2] if cell < RING // 2 else turns[2:]
+            pair = triangles[:2] if cell < STRIP_LENGTH // 2 else triangles[2:]
             faces += [[corner[letter] for letter in triangle] for triangle in pair]
     return torch.tensor(faces)

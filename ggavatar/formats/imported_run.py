@@ -1,4 +1,4 @@
-"""A file of Gaussians together with a capture as a `Run`, so that it is drawn and measured like any other."""
+"""A file of Gaussians and a capture as a `Run`, so that it is rendered and evaluated like any other run."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def open_imported_run(
 
     Args:
         path: The file.
-        source: With a capture.
-        split: Name or rule of the split that is drawn and scored. Which frames the file was trained on is not known.
-        device: Where to draw.
-        backend: The rasteriser.
+        source: Names the capture.
+        split: Name or rule of the split that is rendered and scored; the frames of the training are unknown.
+        device: Device of the avatar.
+        backend: The rasterizer, as in `ggavatar.render.backends`.
 
     Raises:
-        InputError: Not a file of Gaussians, no capture, or one that does not fit.
+        InputError: The file does not hold Gaussians, there is no capture, or the two do not match.
     """
     if source.capture is None:
-        raise InputError(f"{path}: expected the cameras and pictures of a capture; add --capture DIR")
+        raise InputError(f"{path}: expected a capture with cameras and frames, found none; add --capture DIR")
     capture = Capture.open(source.capture)
     avatar = open_gaussians(path, source, capture, device)
     name, chosen = choose_split(capture, split)

@@ -1,4 +1,4 @@
-"""How a file of Gaussians is opened in place of a run: flags that the commands share. Starts without torch."""
+"""Flags for opening a file of Gaussians in place of a run, which several commands share. Does not import torch."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ SUFFIX = ".ply"
 
 @dataclass(frozen=True)
 class GaussianFileOptions:
-    """What a file of Gaussians (FILE.ply in place of a run) does not say itself."""
+    """What a file of Gaussians (FILE.ply in place of a run) does not contain."""
 
     capture: Path | None = None
-    """With FILE.ply: the capture whose frames, cameras and head are used; with a run: where its capture lies now."""
+    """With FILE.ply: the capture whose frames, cameras and head are used; with a run: where its capture is now."""
     head_model: Path | None = None
     """With FILE.ply bound to triangles (GaussianAvatars): flame2023.pkl, generic_model.pkl or an .npz; the capture's
     head if not given."""
     flame_params: Path | None = None
-    """With --head-model: how FLAME was posed; flame_param.npz beside FILE.ply if not given."""
+    """With --head-model: FLAME parameters of all frames; flame_param.npz beside FILE.ply if not given."""
     axes: Literal["auto", "world", "viewer"] = "auto"
-    """Of FILE.ply: world as trained, viewer as turned for viewers (y down); auto knows files of ggavatar-export."""
+    """Axes of FILE.ply: world (as trained) or viewer (y down); auto recognizes files of ggavatar-export, else world."""
 
 
 def is_gaussian_file(path: Path) -> bool:
@@ -30,5 +30,5 @@ def is_gaussian_file(path: Path) -> bool:
 
 
 def results_folder(path: Path) -> Path:
-    """Where what is made from a run or a file of Gaussians goes: the run itself, or a folder beside the file."""
+    """Folder for results of a run or of a file of Gaussians: the run itself, or a folder beside the file."""
     return path.with_suffix("") if is_gaussian_file(path) else path

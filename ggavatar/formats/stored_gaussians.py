@@ -1,4 +1,4 @@
-"""Gaussians as splat files hold them: opacities as logits, scales as logarithms; and the axes of viewers."""
+"""Gaussians as splat files store them (opacities as logits, scales as logarithms), and the axes of their viewers."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from numpy import ndarray
 from ggavatar.core import Gaussians
 from ggavatar.gaussians.initial_colors import SH_C0
 
-LEAST_OPACITY, LEAST_SCALE = 1e-6, 1e-9
-"""What logits and logarithms can still express; anything less is invisible."""
+MIN_OPACITY, MIN_SCALE = 1e-6, 1e-9
+"""Values are clipped here to keep logits and logarithms finite; anything smaller (m for scales) is invisible."""
 
-TURNED_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Signs that the harmonics beyond the constant one take under half a turn about x, in the order of 3DGS."""
+SH_SIGNS_180_ABOUT_X = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+"""Signs of the harmonics of degree 1 to 3, in the order of 3DGS, under a rotation by 180° about x."""
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredGaussians:
     """N Gaussians before activation, float32.
 
     Attributes:
-        means: Positions, m (in a triangle's units where `faces` is given).
-        constant: Coefficient of the constant harmonic; shown as 0.5 + SH_C0 · coefficient.
-        rest: Coefficients of the other harmonics; K is 0, 3, 8 or 15.
+        means: Positions, m (in the units of its triangle where `faces` is given).
+        sh_dc: Coefficients of the constant harmonic (f_dc of 3DGS); the color is 0.5 + SH_C0 · coefficient.
+        sh_rest: Coefficients of the other harmonics (f_rest of 3DGS); K is 0, 3, 8 or 15.
         opacity_logits: Logits of the opacities.
-        log_scales: Natural logarithms of the standard deviations, m (or a triangle's units).
-        quats: wxyz, any length but zero.
-        faces: The triangle each is bound to, or None where the Gaussians stand in the world.
+        log_scales: Natural logarithms of the standard deviations in m (or in the units of its triangle).
+        quats: wxyz, of any length but zero.
+        faces: Index of the triangle that each Gaussian is bound to; None for Gaussians in world space.
     """
 
     means: Float[ndarray, "N 3"]
-    constant: Float[ndarray, "N 3"]
-    rest: Float[ndarray, "N K 3"]
+    sh_dc: Float[ndarray, "N 3"]
+    sh_rest: Float[ndarray, "N K 3"]
     opacity_logits: Float[ndarray, " N"]
     log_scales: Float[ndarray, "N 3"]
     quats: Float[ndarray, "N 4"]
@@ -48,32 +48,32 @@ class Stored:
     @property
     def degree(self) -> int:
         """Highest degree of the harmonics, 0 to 3."""
-        return {0: 0, 3: 1, 8: 2, 15: 3}[self.rest.shape[1]]
+        return {0: 0, 3: 1, 8: 2, 15: 3}[self.sh_rest.shape[1]]
 
 
-def stored(gaussians: Gaussians) -> Stored:
-    """Activated Gaussians as a file holds them; harmonics above the degree in use are left out, colours are exact."""
+def to_stored(gaussians: Gaussians) -> StoredGaussians:
+    """Gaussians as a file stores them, without the harmonics above the degree in use."""
     colors = _numbers(gaussians.colors)
     if colors.ndim == 2:
-        constant, rest = (colors - 0.5) / SH_C0, np.zeros((len(colors), 0, 3), np.float32)
+        sh_dc, sh_rest = (colors - 0.5) / SH_C0, np.zeros((len(colors), 0, 3), np.float32)
     else:
         used = colors.shape[1] if gaussians.sh_degree is None else (gaussians.sh_degree + 1) ** 2
-        constant, rest = colors[:, 0], colors[:, 1:used]
-    opacities = _numbers(gaussians.opacities).astype(np.float64).clip(LEAST_OPACITY, 1 - LEAST_OPACITY)
+        sh_dc, sh_rest = colors[:, 0], colors[:, 1:used]
+    opacities = _numbers(gaussians.opacities).astype(np.float64).clip(MIN_OPACITY, 1 - MIN_OPACITY)
     quats = _numbers(gaussians.quats)
-    return Stored(
+    return StoredGaussians(
         means=_numbers(gaussians.means),
-        constant=np.ascontiguousarray(constant, np.float32),
-        rest=np.ascontiguousarray(rest, np.float32),
+        sh_dc=np.ascontiguousarray(sh_dc, np.float32),
+        sh_rest=np.ascontiguousarray(sh_rest, np.float32),
         opacity_logits=(np.log(opacities) - np.log1p(-opacities)).astype(np.float32),
-        log_scales=np.log(_numbers(gaussians.scales).clip(LEAST_SCALE, None)),
+        log_scales=np.log(_numbers(gaussians.scales).clip(MIN_SCALE, None)),
         quats=quats / np.linalg.norm(quats, axis=1, keepdims=True).clip(1e-12, None),
     )
 
 
-def activated(rows: Stored, device: torch.device | str = "cpu") -> Gaussians:
-    """What a file holds as Gaussians; those bound to triangles stay in their triangles' units."""
-    colors = np.concatenate((rows.constant[:, None], rows.rest), axis=1)
+def activate(rows: StoredGaussians, device: torch.device | str = "cpu") -> Gaussians:
+    """Gaussians from their stored values; those bound to triangles stay in the units of their triangles."""
+    colors = np.concatenate((rows.sh_dc[:, None], rows.sh_rest), axis=1)
     return Gaussians(
         means=torch.from_numpy(rows.means).to(device),
         quats=torch.from_numpy(rows.quats).to(device),
@@ -83,18 +83,19 @@ def activated(rows: Stored, device: torch.device | str = "cpu") -> Gaussians:
     )
 
 
-def turned(rows: Stored) -> Stored:
-    """The same picture after half a turn about x: from our axes (y up, z to the viewer) to viewers' or back.
+def rotate_180_about_x(rows: StoredGaussians) -> StoredGaussians:
+    """Rotate Gaussians by 180° about x: from our axes (y up, z to the viewer) to those of viewers, or back.
 
-    3DGS files and their viewers have COLMAP's axes: x right, y down, z away. Means change the signs of y and z,
-    quaternions are multiplied by (0, 1, 0, 0) from the left, harmonics change signs only; exact.
+    3DGS files and their viewers use COLMAP's axes: x right, y down, z away. Means change the signs of y and z,
+    quaternions are multiplied by (0, 1, 0, 0) from the left, harmonics change their signs only, so that the rotation
+    is exact.
     """
     w, x, y, z = rows.quats.T
     return dataclasses.replace(
         rows,
         means=rows.means * np.array([1, -1, -1], np.float32),
         quats=np.stack((-x, w, -z, y), axis=1),
-        rest=rows.rest * TURNED_SIGNS[: rows.rest.shape[1], None],
+        sh_rest=rows.sh_rest * SH_SIGNS_180_ABOUT_X[: rows.sh_rest.shape[1], None],
     )
 
 

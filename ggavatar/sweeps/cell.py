@@ -1,9 +1,8 @@
-"""One training of a sweep, in a process of its own."""
+"""One cell of a sweep: a training by ggavatar-train in a process of its own."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 import sys
 from collections.abc import Sequence
@@ -11,13 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.sweeps.backends import logged
+from ggavatar.io.json_files import read_json
+from ggavatar.sweeps.backends import run_logged
 from ggavatar.sweeps.time_budget import fitting_steps
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One training of the grid."""
+    """One training of the grid.
+
+    Attributes:
+        capture: The capture folder.
+        method: Name of the method or variant.
+        seed: Seed of all random numbers.
+        folder: Its run folder.
+    """
 
     capture: Path
     method: str
@@ -26,60 +33,62 @@ class Cell:
 
     @property
     def has_begun(self) -> bool:
-        """Whether its run is there to go on with; its length is settled then."""
+        """Whether its run folder exists and can be resumed; the number of steps is fixed then."""
         return (self.folder / "config.json").exists()
 
     @property
     def is_finished(self) -> bool:
         """Whether its run has been trained to the end."""
         try:
-            return bool(json.loads((self.folder / "provenance.json").read_text())["finished"])
-        except (OSError, ValueError, KeyError):
+            return bool(read_json(self.folder / "provenance.json").get("finished", False))
+        except (InputError, OSError):
             return False
 
     @property
     def log(self) -> Path:
-        """What its training says."""
+        """The file with the output of its training."""
         return self.folder.with_suffix(".log")
 
     def command(self, flags: Sequence[str]) -> list[str]:
-        """The ggavatar-train that trains it or goes on with it."""
-        base = [console_script("ggavatar-train"), str(self.capture.resolve()), self.method, "-o", str(self.folder)]
+        """The ggavatar-train command that trains or resumes it."""
+        program = find_console_script("ggavatar-train")
+        base = [program, str(self.capture.resolve()), self.method, "-o", str(self.folder)]
         if self.has_begun:
             return [*base, "--resume"]
         return [*base, "--seed", str(self.seed), *flags]
 
     @property
     def pilot(self) -> Cell:
-        """The short training that tells how long a step takes: the same in a folder beside."""
+        """The short training that measures how long a step takes: the same cell in a folder beside."""
         return dataclasses.replace(self, folder=self.folder.with_name(self.folder.name + "-pilot"))
 
 
 def train_cell(cell: Cell, flags: tuple[str, ...], minutes: float | None = None, cores: int | None = None) -> int:
-    """Train a cell, or go on with it, in a process of its own; its output goes to a log beside its folder.
+    """Train or resume a cell in a process of its own, log its output beside its folder, and return the exit code.
 
     Args:
-        cell: Which.
+        cell: The cell.
         flags: For ggavatar-train.
-        minutes: Wall time that sets the length of a cell that has not begun, after a pilot on this same machine.
-        cores: As of `logged`.
+        minutes: Wall time that determines the number of steps of a new cell, after a pilot on this machine.
+        cores: As for `run_logged`.
     """
     if minutes is not None and not cell.has_begun:
         pilot = cell.pilot
-        found = fitting_steps(
-            minutes, pilot.folder, lambda more: logged(pilot.command((*flags, *more)), cell.log, cores)
+        result = fitting_steps(
+            minutes, pilot.folder, lambda more: run_logged(pilot.command((*flags, *more)), cell.log, cores)
         )
-        if found.code:
-            return found.code
-        flags = (*flags, "--steps", str(found.steps))
-    return logged(cell.command(flags), cell.log, cores)
+        if result.code:
+            return result.code
+        flags = (*flags, "--steps", str(result.steps))
+    return run_logged(cell.command(flags), cell.log, cores)
 
 
-def console_script(name: str) -> str:
-    """One of our commands, as installed beside this Python."""
+def find_console_script(name: str) -> str:
+    """Path of one of our commands, as installed beside this Python interpreter or on the PATH."""
     found = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
     if found is None:
         raise InputError(
-            f"expected the command {name} beside {sys.executable}; install the project with pip install -e ."
+            f"expected the command {name} beside {sys.executable}, found none; install the project with "
+            "pip install -e ."
         )
     return found

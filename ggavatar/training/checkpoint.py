@@ -1,14 +1,13 @@
-"""Checkpoints: one safetensors file and one JSON file a step. Atomic, checked by digest, nothing executable.
+"""Checkpoints: one safetensors file and one JSON file per step, written atomically and verified by digest.
 
-The tensors go to the disk first, the JSON with their digest last; a checkpoint exists if and only if its JSON is
-there and its digest fits. Whatever the moment of a crash, the newest complete checkpoint is found and torn ones are
-skipped.
+The tensors are written first, the JSON with their digest last: a checkpoint is complete if and only if its JSON exists
+and the digest matches. After a crash at any moment the newest complete checkpoint is found and incomplete ones are
+skipped. Nothing in a checkpoint is executable.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,44 +20,46 @@ from torch import Tensor, nn
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
+from ggavatar.io.json_files import read_json, write_json
 
-KEPT = 2
-"""Complete checkpoints that are never removed."""
+KEPT_CHECKPOINTS = 2
+"""Number of complete checkpoints that are kept, the newest ones."""
 
 _NAME = re.compile(r"step-(\d{9})\.json")
 
 
 def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], meta: Mapping[str, Any]) -> Path:
-    """Write a checkpoint, then remove all but the newest `KEPT` complete ones.
+    """Write a checkpoint, then remove all but the newest `KEPT_CHECKPOINTS` complete ones.
 
     Args:
         folder: The run's `checkpoints` folder.
         step: Steps done.
         tensors: By name; copied to the CPU.
-        meta: JSON-ready values.
+        meta: JSON-serializable values.
 
     Returns:
         The safetensors file.
 
     Raises:
-        OSError: The disk is full or not writable; earlier checkpoints are untouched and no half file is left.
+        OSError: The disk is full or not writable; earlier checkpoints are untouched and no partial file is left.
     """
     data = safetensors.save({name: value.detach().cpu().contiguous() for name, value in tensors.items()})
     path = folder / f"step-{step:09d}.safetensors"
     write_atomically(path, lambda stream: stream.write(data))
     record = {**meta, "step": step, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    text = json.dumps(record, indent=1, allow_nan=False).encode()
-    write_atomically(path.with_suffix(".json"), lambda stream: stream.write(text))
-    for old in complete_steps(folder, limit=None)[KEPT:]:
+    write_json(path.with_suffix(".json"), record)
+    for old in complete_steps(folder, limit=None)[KEPT_CHECKPOINTS:]:
         _path(folder, old).with_suffix(".json").unlink(missing_ok=True)
         _path(folder, old).unlink(missing_ok=True)
     return path
 
 
 def complete_steps(folder: Path, limit: int | None = 1) -> list[int]:
-    """Steps of complete checkpoints, newest first.
+    """Steps of the complete checkpoints in a folder, newest first.
 
-    At most `limit` of them (None: all, sizes checked but not digests).
+    Args:
+        folder: The run's `checkpoints` folder.
+        limit: How many to find, each verified by its digest; None finds all and compares only file sizes.
     """
     found = sorted(
         (int(match[1]) for path in folder.glob("step-*.json") if (match := _NAME.fullmatch(path.name))), reverse=True
@@ -79,24 +80,24 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
 
     Args:
         folder: The run's `checkpoints` folder.
-        step: Which; None is the newest complete one.
+        step: Which one; None is the newest complete one.
 
     Returns:
         Tensors by name, on the CPU, and the JSON values.
 
     Raises:
-        InputError: No such checkpoint, or it is torn.
+        InputError: There is no such checkpoint, or it is damaged.
     """
     if step is None:
         newest = complete_steps(folder)
         if not newest:
             damaged = ", only damaged ones" if any(folder.glob("step-*")) else ""
-            raise InputError(f"{folder}: no complete checkpoint{damaged}; begin again with ggavatar-train --overwrite")
+            raise InputError(f"{folder}: no complete checkpoint{damaged}; train again with ggavatar-train --overwrite")
         step = newest[0]
     record = _record(folder, step, digest=True)
     if record is None:
-        there = ", ".join(map(str, complete_steps(folder, limit=None))) or "none"
-        raise InputError(f"{_path(folder, step)}: missing or damaged; complete checkpoints: {there}")
+        available = ", ".join(map(str, complete_steps(folder, limit=None))) or "none"
+        raise InputError(f"{_path(folder, step)}: missing or damaged; complete checkpoints: {available}")
     try:
         return safetensors.load(_path(folder, step).read_bytes()), record
     except SafetensorError as error:
@@ -108,21 +109,21 @@ def _path(folder: Path, step: int) -> Path:
 
 
 def _record(folder: Path, step: int, digest: bool) -> dict[str, Any] | None:
-    """The JSON of a checkpoint whose tensors are as it says, else None."""
+    """The JSON of a checkpoint if its tensors match it, else None."""
     path = _path(folder, step)
     try:
-        record = json.loads(path.with_suffix(".json").read_text())
-        if not isinstance(record, dict) or path.stat().st_size != record["bytes"]:
+        record = read_json(path.with_suffix(".json"))
+        if path.stat().st_size != record["bytes"]:
             return None
         if digest and hashlib.sha256(path.read_bytes()).hexdigest() != record["sha256"]:
             return None
-    except (OSError, ValueError, KeyError):
+    except (OSError, InputError, KeyError):
         return None
     return record
 
 
 def pack(avatar: nn.Module, optimizers: list[torch.optim.Optimizer]) -> tuple[dict[str, Tensor], list[dict[str, Any]]]:
-    """Everything that decides how a training goes on: tensors by name and the JSON-ready rest of every optimiser."""
+    """The state of a training: tensors by name, and the JSON-serializable remainder of every optimizer's state."""
     tensors = {f"avatar.{name}": value for name, value in avatar.state_dict().items()}
     rest = []
     for number, optimizer in enumerate(optimizers):
@@ -139,21 +140,30 @@ def pack(avatar: nn.Module, optimizers: list[torch.optim.Optimizer]) -> tuple[di
 
 
 def unpack_avatar(avatar: nn.Module, tensors: Mapping[str, Tensor]) -> None:
-    """Load an avatar's part of a checkpoint; `InputError` if it belongs to another method or configuration."""
+    """Load an avatar's part of a checkpoint.
+
+    Raises:
+        InputError: The checkpoint belongs to another method or configuration.
+    """
     own = {name.removeprefix("avatar."): value for name, value in tensors.items() if name.startswith("avatar.")}
     try:
         avatar.load_state_dict(own)
     except RuntimeError as error:
-        raise InputError(f"the checkpoint does not fit the method: {error}") from error
+        raise InputError(f"the checkpoint does not match the method: {error}") from error
 
 
 def unpack_optimizers(
     optimizers: list[torch.optim.Optimizer], tensors: Mapping[str, Tensor], rest: list[dict[str, Any]]
 ) -> None:
-    """Load the optimisers' part of a checkpoint, after the avatar's."""
+    """Load the optimizers' part of a checkpoint, after the avatar's.
+
+    Raises:
+        InputError: The checkpoint holds another number of optimizers than the method has.
+    """
     if len(rest) != len(optimizers):
         raise InputError(
-            f"the checkpoint has {len(rest)} optimisers, the method {len(optimizers)}; another version wrote it"
+            f"expected a checkpoint with {len(optimizers)} optimizers, found {len(rest)}; another version of the "
+            "method wrote it"
         )
     for number, (optimizer, saved) in enumerate(zip(optimizers, rest, strict=True)):
         state: dict[int, dict[str, Any]] = {int(index): dict(values) for index, values in saved["plain"].items()}

@@ -1,7 +1,4 @@
-"""When things happen.
-
-The paper's iteration constants scaled to any length, rates that decay, and resolution from coarse to fine.
-"""
+"""Training schedules: length, learning-rate decay, coarse-to-fine resolution, and the presets."""
 
 from __future__ import annotations
 
@@ -12,23 +9,23 @@ from ggavatar.optim.schedules import PAPER_STEPS
 
 
 @dataclass(frozen=True)
-class Training:
-    """The part of a training that no method knows about."""
+class TrainingPlan:
+    """The settings of the training loop, which are the same for all methods."""
 
     steps: int = 6_000
-    """Length, steps; every schedule scales with it. 120,000 in the paper."""
+    """Number of steps; every schedule scales with it. 120,000 in the paper."""
     resolutions: tuple[tuple[float, float], ...] = ((0.25, 0.25), (0.25, 0.5))
-    """Coarse to fine: pairs (share of the steps, share of the size), then full size. Empty in the paper."""
+    """Coarse to fine: pairs (fraction of the steps, fraction of the size), then full size. Empty in the paper."""
     smallest: int = 128
-    """No side gets smaller than this by `resolutions`, px."""
+    """`resolutions` make no side smaller than this, px."""
     cooling: float = 0.4
-    """Share of the steps, at the end, over which the rates of all optimisers fall; 0 in the paper, which says none."""
+    """Fraction of the steps, at the end, in which all learning rates decay; 0 in the paper, which mentions no decay."""
     coolest: float = 0.02
-    """Share of the rates that is left in the last step."""
+    """Factor on the learning rates in the last step."""
     eval_every: int = 1_000
-    """Steps between two looks at test frames; 0 is never."""
+    """Steps between two evaluations on test frames; 0 is never."""
     eval_frames: int = 4
-    """Test frames looked at each time."""
+    """Test frames per evaluation."""
     save_every: int = 1_000
     """Steps between two checkpoints; one is always written at the end."""
     log_every: int = 10
@@ -38,13 +35,13 @@ class Training:
     cache_mib: int = 1024
     """Memory for decoded frames, MiB."""
     bad_steps: int = 10
-    """Steps with numbers that are not finite, in all, after which the training gives up."""
+    """Number of steps with a loss or gradient that is not finite at which the training stops."""
 
-    def rate_at(self, step: int) -> float:
-        """Factor on all rates in a step (from 1): 1, and half a cosine down to `coolest` while cooling.
+    def rate_factor(self, step: int) -> float:
+        """Factor on all learning rates in a step (from 1): 1, then half a cosine down to `coolest`.
 
-        A rate that stays high leaves the networks, through which all Gaussians move together, swinging by half a pixel
-        until the last step (docs/experiments/2026-11-22-learning-rate-decay.md).
+        The decay damps the networks, which move all Gaussians together; at a constant rate they oscillate by half a
+        pixel until the last step (docs/experiments/2026-11-22-learning-rate-decay.md).
         """
         begin = (1 - self.cooling) * self.steps
         share = (step - begin) / max(self.steps - begin, 1)
@@ -61,16 +58,16 @@ class Training:
         return width, height
 
 
-def preset(name: str, device: str) -> Training:
-    """The plan of a preset.
+def preset(name: str, device: str) -> TrainingPlan:
+    """The settings of a preset.
 
     Args:
-        name: `default`, what a user should run on the device at hand; `fast`, a look within minutes; `paper`, the
-            printed schedule.
-        device: `cpu` or another.
+        name: `default`, for good results on the given device; `fast`, for a preview within minutes; `paper`, the
+            published schedule.
+        device: `cpu`, or another device, for which the default is longer.
     """
     if name == "paper":
-        return Training(
+        return TrainingPlan(
             PAPER_STEPS,
             resolutions=(),
             cooling=0.0,
@@ -82,5 +79,9 @@ def preset(name: str, device: str) -> Training:
         )
     if device != "cpu":
         steps = 30_000 if name == "default" else 5_000
-        return Training(steps, resolutions=(), eval_frames=8, save_every=2_500, max_gaussians=200_000)
-    return Training() if name == "default" else Training(1_500, eval_every=500, save_every=500, max_gaussians=20_000)
+        return TrainingPlan(steps, resolutions=(), eval_frames=8, save_every=2_500, max_gaussians=200_000)
+    return (
+        TrainingPlan()
+        if name == "default"
+        else TrainingPlan(1_500, eval_every=500, save_every=500, max_gaussians=20_000)
+    )

@@ -1,4 +1,4 @@
-"""Where the results of a run come from: versions, digests, device, outcome."""
+"""Provenance of a run (provenance.json): versions, command line, digests, device and outcome."""
 
 from __future__ import annotations
 
@@ -15,26 +15,24 @@ import torch
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.training.progress import peak_memory_mib
-from ggavatar.training.run_folder import (
-    RunConfig,
-)
+from ggavatar.training.run_folder import RunConfig
 from ggavatar.training.trainer import Trainer
 
-VERSIONED = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
+RECORDED_PACKAGES = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
+"""Packages whose versions are recorded."""
 
 
 def provenance_of(config: RunConfig, capture: Capture, split: Split) -> dict[str, Any]:
-    """Where the results come from."""
+    """What is known before the first step: versions, command line, device, and digests of the inputs."""
     lists = json.dumps([list(split.train), list(split.test)]).encode()
+    on_cuda = config.device.startswith("cuda")
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "argv": sys.argv,
         "versions": {"python": platform.python_version(), **_versions()},
         "platform": platform.platform(),
         "device": config.device,
-        "device_name": torch.cuda.get_device_name(config.device)
-        if config.device.startswith("cuda")
-        else platform.machine(),
+        "device_name": torch.cuda.get_device_name(config.device) if on_cuda else platform.machine(),
         "threads": torch.get_num_threads(),
         "seed": config.seed,
         "capture_sha256": capture.digest(),
@@ -44,7 +42,7 @@ def provenance_of(config: RunConfig, capture: Capture, split: Split) -> dict[str
 
 
 def outcome_of(trainer: Trainer, done: int) -> dict[str, Any]:
-    """What is known once the training is over."""
+    """What is known after the last step: steps, time, peak memory, and the notes of the method."""
     on_gpu = torch.cuda.max_memory_allocated() >> 20 if torch.cuda.is_available() else None
     notes = trainer.avatar.notes() if hasattr(trainer.avatar, "notes") else {}
     return {
@@ -59,7 +57,7 @@ def outcome_of(trainer: Trainer, done: int) -> dict[str, Any]:
 
 def _versions() -> dict[str, str]:
     found = {}
-    for name in VERSIONED:
+    for name in RECORDED_PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:

@@ -1,11 +1,9 @@
-"""Which methods there are: a file in `ggavatar/methods/` is a method and gives it its name.
+"""The registry of methods: each file in `ggavatar/methods/` is a method named after the file.
 
-Its VARIANTS are further methods, named `file_variant`.
-
-A method's file offers `Config` (a frozen dataclass), `build(config, scene) -> Avatar`, `VARIANTS` (overrides of
-Config by variant) and, if it wants, `PRESETS` (overrides of Config by preset) and `rasterizer(device, backend)` (a
-renderer of its own). Names and descriptions are read from
-the source; a method is imported when it is used.
+A method's file defines `Config` (a frozen dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of
+Config by variant; each is a further method, named `file_variant`). It may define `PRESETS` (overrides of Config by
+preset) and `rasterizer(device, backend)` (a renderer of its own). Names and descriptions are read from the source,
+so that listing them imports no method; a method is imported when it is used.
 """
 
 from __future__ import annotations
@@ -21,17 +19,17 @@ from typing import Any
 from ggavatar.errors import InputError, nearest
 from ggavatar.io.dataclass_json import from_plain, override
 
-FOLDER = Path(__file__).parents[1] / "methods"
+METHODS_FOLDER = Path(__file__).parents[1] / "methods"
 
 
 @dataclass(frozen=True)
 class Method:
-    """A method or one of its variants, ready to be built.
+    """A method or one of its variants.
 
     Attributes:
-        name: What the command line calls it.
-        module: The file, imported.
-        overrides: What the variant changes in its `Config`.
+        name: Its name on the command line.
+        module: The imported file.
+        overrides: Fields of `Config` that the variant changes.
     """
 
     name: str
@@ -39,13 +37,13 @@ class Method:
     overrides: Mapping[str, Any]
 
     def config(self, preset: str = "default", assignments: Sequence[str] = ()) -> Any:
-        """The configuration for a preset, with the variant's and then the user's `name=value` overrides."""
+        """The configuration for a preset, with the overrides of the variant and then the user's `name=value` texts."""
         preset_values = getattr(self.module, "PRESETS", {}).get(preset, {})
         config = self.module.Config(**{**preset_values, **self.overrides})
         return override(config, assignments, f"method {self.name}") if assignments else config
 
     def config_from(self, values: Mapping[str, Any], where: str) -> Any:
-        """A configuration read from JSON, every name and type checked."""
+        """A configuration from JSON values; `where` names their source in the message of an `InputError`."""
         return from_plain(self.module.Config, values, where)
 
     def build(self, config: Any, scene: Any) -> Any:
@@ -53,7 +51,7 @@ class Method:
         return self.module.build(config, scene)
 
     def rasterizer(self, device: str, backend: str) -> Any:
-        """What draws its avatars: the method's own renderer if its file has one, else that of the device."""
+        """The renderer of its avatars: the method's own if its file defines one, else that of the device."""
         from ggavatar.render.backends import pick  # torch, which names() does without
 
         return getattr(self.module, "rasterizer", pick)(device, backend)
@@ -62,7 +60,7 @@ class Method:
 def names() -> dict[str, str]:
     """Every command-line name with its one-line description, in alphabetical order, variants after their method."""
     found = {}
-    for path in sorted(FOLDER.glob("*.py")):
+    for path in sorted(METHODS_FOLDER.glob("*.py")):
         if not path.stem.startswith("_"):
             description, variants = _describe(path)
             found[path.stem] = description
@@ -73,15 +71,23 @@ def names() -> dict[str, str]:
 
 
 def load(name: str) -> Method:
-    """Import a method by its command-line name; `InputError` with the nearest known name if there is none."""
-    known = names()
-    if name not in known:
-        raise InputError(f"unknown method {name!r}{nearest(name, known)}; known are {', '.join(known)}")
-    stem = max(
-        (path.stem for path in FOLDER.glob("*.py") if name == path.stem or name.startswith(path.stem + "_")), key=len
-    )
+    """Import a method by its command-line name.
+
+    Raises:
+        InputError: There is no such method; the message suggests the nearest name.
+    """
+    check_name(name)
+    stems = (path.stem for path in METHODS_FOLDER.glob("*.py"))
+    stem = max((stem for stem in stems if name == stem or name.startswith(stem + "_")), key=len)
     module = importlib.import_module(f"ggavatar.methods.{stem}")
     return Method(name, module, {} if name == stem else module.VARIANTS[name.removeprefix(stem + "_")])
+
+
+def check_name(name: str) -> None:
+    """Raise an `InputError` that suggests the nearest name if there is no method of this name."""
+    known = names()
+    if name not in known:
+        raise InputError(f"unknown method {name!r}{nearest(name, known)}; known methods are {', '.join(known)}")
 
 
 def _describe(path: Path) -> tuple[str, list[str]]:

@@ -1,4 +1,4 @@
-"""The run folder: what a training writes and what evaluation, rendering and resuming open.
+"""The run folder: written by a training, opened by evaluation, rendering, export and resuming.
 
 run/
   config.json        everything that decides the training, plain data
@@ -11,7 +11,6 @@ run/
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -29,18 +28,19 @@ from ggavatar.data.splits import Split, split_frames, split_name
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.dataclass_json import from_plain, to_plain
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import read_json, write_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
-from ggavatar.training.plan import Training
+from ggavatar.training.plan import TrainingPlan
 
 SCHEMA, VERSION = "ggavatar-run", 1
-SAMPLES, SAMPLE_SIDE = 16, 256
+SAMPLE_COUNT, SAMPLE_SIDE = 16, 256
+"""Training frames that a method sees before the first step, and the length of their shorter side, px."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that decides a training, as in config.json."""
+    """The configuration of a training, as in config.json; together with the capture it determines the result."""
 
     method: str
     """Command-line name of the method or variant."""
@@ -51,34 +51,35 @@ class RunConfig:
     background: tuple[float, ...] = (1.0, 1.0, 1.0)
     """sRGB in [0, 1]."""
     seed: int = 42
-    """From which every random number derives."""
+    """Seed of all random numbers."""
     device: str = "cpu"
-    """Where it is trained."""
+    """Device of the training."""
     backend: str = "auto"
-    """The rasteriser."""
+    """The rasterizer, as in `ggavatar.render.backends`."""
     preset: str = "default"
-    """Where the other values come from."""
-    training: Training = field(default_factory=Training)
-    """The plan of the loop."""
+    """The preset that the other values were derived from."""
+    training: TrainingPlan = field(default_factory=TrainingPlan)
+    """Settings of the training loop."""
     method_config: dict[str, Any] = field(default_factory=dict)
     """Every setting of the method."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A trained avatar with all that is needed to draw and measure it.
+    """A trained avatar with all that is needed to render and evaluate it.
 
     Attributes:
-        folder: Where it lies.
-        method: Its command-line name.
-        avatar: In evaluation mode, on the device asked for.
-        capture: What it was trained on.
+        folder: The run folder.
+        method: Command-line name of its method.
+        avatar: In evaluation mode, on the requested device.
+        capture: The capture it was trained on.
         split: Frames trained on and tested on.
-        background: Colour it was trained on, sRGB.
+        background: Color it was trained on, sRGB.
         rasterize: The renderer for the device.
         config: config.json.
         provenance: provenance.json.
         step: Steps trained.
+        reader: Reads the frames of the capture.
     """
 
     folder: Path
@@ -94,7 +95,7 @@ class Run:
     reader: Frames
 
     def frames(self, numbers: Iterable[int]) -> Iterator[Frame]:
-        """Frames by source number, at the capture's size, composited on the run's background; a few are read ahead."""
+        """Frames by source number, at the capture's size, composited on the run's background; reads a few ahead."""
         size = (self.capture.width, self.capture.height)
         yield from self.reader.stream((number, *size) for number in numbers)
 
@@ -110,20 +111,20 @@ def open_run(
 
     Args:
         folder: The run.
-        device: Where to draw.
-        step: Which checkpoint; None is the newest complete one.
-        backend: The rasteriser, as in `ggavatar.render.backends`.
-        capture: Where the capture lies now, if it was moved.
+        device: Device of the avatar.
+        step: Step of the checkpoint; None is the newest complete one.
+        backend: The rasterizer, as in `ggavatar.render.backends`.
+        capture: New location of the capture, if it was moved.
 
     Raises:
-        InputError: Not a run, its capture is gone, or it has no such checkpoint.
+        InputError: The folder is not a run, its capture is not found, or there is no such checkpoint.
     """
     folder = Path(folder)
     config = read_config(folder)
     opened = Capture.open(capture or find_capture(folder, config))
     tensors, record = load_checkpoint(folder / "checkpoints", step)
     split = read_split(folder)
-    scene, reader = assemble(config, opened, split, device)
+    scene, reader = make_scene(config, opened, split, device)
     method = registry.load(config.method)
     avatar = method.build(method.config_from(config.method_config, str(folder / "config.json")), scene)
     unpack_avatar(avatar, tensors)
@@ -136,16 +137,24 @@ def open_run(
         background=scene.background,
         rasterize=method.rasterizer(device, backend),
         config=config,
-        provenance=_read(folder / "provenance.json"),
+        provenance=_read_run_file(folder / "provenance.json"),
         step=record["step"],
         reader=reader,
     )
 
 
-def assemble(
+def make_scene(
     config: RunConfig, capture: Capture, split: Split, device: str, rasterize: Rasterizer | None = None
 ) -> tuple[Scene, Frames]:
-    """What a method is built from and where its frames come from; with a rasteriser, as for a training's first step."""
+    """The scene a method is built from, and the reader of its frames.
+
+    Args:
+        config: Of the run.
+        capture: Of the run.
+        split: Frames to train on and to test on.
+        device: Device of the tensors.
+        rasterize: The renderer, for a new training; None for a trained avatar, whose scene needs no sample frames.
+    """
     head = load_head(capture.head_path).to(device, torch.float32)
     background = torch.tensor(config.background, device=device)
     reader = Frames(capture, head, background, device, config.training.cache_mib)
@@ -153,7 +162,7 @@ def assemble(
     if rasterize is not None:
         factor = min(1.0, SAMPLE_SIDE / min(capture.width, capture.height))
         size = (round(capture.width * factor), round(capture.height * factor))
-        samples = tuple(reader.frame(number, *size) for number in spaced(split.train, SAMPLES))
+        samples = tuple(reader.frame(number, *size) for number in spaced(split.train, SAMPLE_COUNT))
     scene = Scene(
         head=head,
         drives=tuple(reader.drive(number) for number in split.train),
@@ -168,18 +177,23 @@ def assemble(
     return scene, reader
 
 
-def create_folder(folder: Path, overwrite: bool) -> None:
-    """Make room for a new run; refuses a folder that holds something unless it is a run and `overwrite` is set."""
+def create_run_folder(folder: Path, overwrite: bool) -> None:
+    """Create the folder of a new run, or remove the run that is in it.
+
+    Raises:
+        InputError: The folder holds a run and `overwrite` is not set, or it holds other files, or it is a file.
+    """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder for the run, found a file; choose another with -o")
+        raise InputError(f"{folder}: expected a folder for the run, found a file; choose another folder with -o")
     if folder.exists() and any(folder.iterdir()):
         if not (folder / "config.json").exists():
-            raise InputError(f"{folder}: holds other files and no run; choose another folder with -o")
+            raise InputError(f"{folder}: expected an empty folder or a run, found other files; choose another with -o")
         if not overwrite:
             raise InputError(
-                f"{folder}: exists already; pass --resume to go on, --overwrite to begin again, or another -o"
+                f"{folder}: already holds a run; pass --resume to continue it, --overwrite to replace it, or choose "
+                "another folder with -o"
             )
-        read_config(folder)  # another program's config.json is not ours to remove
+        read_config(folder)  # raises if config.json belongs to another program
         _remove_own_files(folder)
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     (folder / "metrics").mkdir(exist_ok=True)
@@ -207,13 +221,17 @@ def write_config(folder: Path, config: RunConfig, split: Split) -> None:
 
 
 def read_config(folder: Path) -> RunConfig:
-    """Read config.json; `InputError` if the folder is no run or of a version not known here."""
+    """Read config.json.
+
+    Raises:
+        InputError: The folder is not a run, its version is not supported, or the file is damaged.
+    """
     path = folder / "config.json"
     if not path.exists():
-        found = "no config.json in it" if folder.is_dir() else "nothing there"
+        found = "no config.json in it" if folder.is_dir() else "no such folder"
         capture = "; it is a capture: train on it first" if (folder / "capture.json").exists() else ""
         raise InputError(f"{folder}: expected a run folder written by ggavatar-train, found {found}{capture}")
-    values = _read(path)
+    values = _read_run_file(path)
     if values.get("schema") != SCHEMA or values.get("version") != VERSION:
         raise InputError(
             f"{path}: expected schema {SCHEMA} version {VERSION}, found {values.get('schema')} {values.get('version')}"
@@ -221,24 +239,28 @@ def read_config(folder: Path) -> RunConfig:
     own = {name: value for name, value in values.items() if name not in ("schema", "version", "capture_relative")}
     missing = [f.name for f in dataclasses.fields(RunConfig) if f.default is f.default_factory and f.name not in own]
     if missing:
-        raise InputError(f"{path}: expected the fields {', '.join(missing)}; the file is damaged")
+        raise InputError(f"{path}: expected the fields {', '.join(missing)}, found none; the file is damaged")
     return from_plain(RunConfig, own, str(path))
 
 
 def find_capture(folder: Path, config: RunConfig) -> Path:
-    """The capture of a run: where it was, or in the same place relative to the run."""
-    moved = folder / str(_read(folder / "config.json").get("capture_relative", ""))
+    """The capture of a run, at its absolute path or at its path relative to the run.
+
+    Raises:
+        InputError: It is at neither of them.
+    """
+    moved = folder / str(_read_run_file(folder / "config.json").get("capture_relative", ""))
     for path in (Path(config.capture), moved):
         if (path / "capture.json").exists():
             return path
     raise InputError(
-        f"{folder}: its capture {config.capture} is not there any more, nor {moved}; move it back, or name it with "
-        "ggavatar-eval --capture"
+        f"{folder}: expected its capture at {config.capture} or {moved}, found it at neither; move it back, or name "
+        "its new location with ggavatar-eval --capture"
     )
 
 
 def choose_split(capture: Capture, rule: str) -> tuple[str, Split]:
-    """A split of a capture by name, or by a rule that the capture does not list."""
+    """The name and the frames of a split: one that the capture lists, or else one made by the rule."""
     name = split_name(rule)
     if name in capture.splits and not rule.startswith("file:"):
         return name, capture.splits[name]
@@ -248,20 +270,14 @@ def choose_split(capture: Capture, rule: str) -> tuple[str, Split]:
 def read_split(folder: Path) -> Split:
     """Read split.json."""
     path = folder / "split.json"
-    values = _read(path)
+    values = _read_run_file(path)
     try:
         return Split(tuple(map(int, values["train"])), tuple(map(int, values["test"])))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: expected lists train and test of frame numbers ({error!r})") from error
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; the folder is not a complete run") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not valid JSON ({error})") from error
-    if not isinstance(values, dict):
-        raise InputError(f"{path}: expected a JSON object, found {type(values).__name__}")
-    return values
+def _read_run_file(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        raise InputError(f"{path}: no such file; the folder is not a complete run")
+    return read_json(path)

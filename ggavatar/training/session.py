@@ -1,4 +1,4 @@
-"""One sitting of training: from what the user asked for to a run folder with everything in it."""
+"""A training session: from the options of ggavatar-train to a complete run folder, or to a resumed one."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ggavatar.io.json_files import write_json
 from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
-from ggavatar.training.progress import Line, Listener, Silence
+from ggavatar.training.progress import ConsoleListener, Listener, NullListener
 from ggavatar.training.provenance import outcome_of, provenance_of
 from ggavatar.training.run_folder import (
     RunConfig,
-    assemble,
     choose_split,
-    create_folder,
+    create_run_folder,
     find_capture,
+    make_scene,
     read_config,
     read_split,
     write_config,
@@ -30,8 +30,8 @@ from ggavatar.training.run_folder import (
 from ggavatar.training.trainer import StopSignals, Trainer
 
 
-class Interrupted(Exception):
-    """A signal ended the training early; everything is saved.
+class TrainingInterrupted(Exception):
+    """A signal stopped the training early; its state is saved.
 
     Attributes:
         step: Steps done.
@@ -44,23 +44,23 @@ class Interrupted(Exception):
 
 
 def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], quiet: bool = False) -> int:
-    """Train, or go on training, until the end.
+    """Train from the first step, or resume, until the last step.
 
     Args:
-        capture_folder: What to train on.
+        capture_folder: The capture to train on.
         output: The run folder.
         options: By name: method, preset, steps, seed, device, backend, split, background, max_gaussians, eval_every,
-            save_every, set (a list of field=value), resume, overwrite. What is absent takes its default or, when
+            save_every, set (a list of field=value), resume, overwrite. Absent ones take their default or, when
             resuming, the run's value.
-        quiet: Say nothing.
+        quiet: Print no progress.
 
     Returns:
         Steps done.
 
     Raises:
-        InputError: Bad options or a bad capture.
-        Interrupted: A signal came; the state is saved.
-        TrainingError: Numbers stay not finite.
+        InputError: The options or the capture are not usable.
+        TrainingInterrupted: A signal was received; the state is saved.
+        TrainingError: Losses or gradients are not finite too often.
     """
     capture = Capture.open(capture_folder)
     resuming = bool(options.get("resume")) and (output / "config.json").exists()
@@ -68,7 +68,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         config, split = _resumed(output, capture, options), read_split(output)
     else:
         config, split = configure(capture, options)
-        create_folder(output, bool(options.get("overwrite")))
+        create_run_folder(output, bool(options.get("overwrite")))
         write_config(output, config, split)
     with StopSignals() as stop:
         trainer = make_trainer(output, config, capture, split)
@@ -77,16 +77,20 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             return done
         provenance = provenance_of(config, capture, split)
         write_json(output / "provenance.json", provenance)
-        trainer.listener = Silence() if quiet else Line(done, config.training.steps)
+        trainer.listener = NullListener() if quiet else ConsoleListener(done, config.training.steps)
         done = trainer.run(done, stop)
         write_json(output / "provenance.json", {**provenance, **outcome_of(trainer, done)})
     if stop.received is not None and done < config.training.steps:
-        raise Interrupted(done, stop.received)
+        raise TrainingInterrupted(done, stop.received)
     return done
 
 
 def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, Split]:
-    """Everything that decides a new training, from presets and options."""
+    """The configuration and the split of a new training, from its preset and options.
+
+    Raises:
+        InputError: An option is not usable.
+    """
     method = registry.load(options.get("method", "ggavatar"))
     device = resolve_device(options.get("device", "auto"))
     chosen = options.get("preset", "default")
@@ -96,7 +100,8 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
     }
     for name, value in changes.items():
         if value < (0 if name == "eval_every" else 1):
-            raise InputError(f"--{name.replace('_', '-')}: expected a positive number, found {value}")
+            least = "0 or more" if name == "eval_every" else "1 or more"
+            raise InputError(f"--{name.replace('_', '-')}: expected {least}, found {value}")
     name, split = choose_split(capture, options.get("split", "every-20th"))
     config = RunConfig(
         method=method.name,
@@ -116,14 +121,22 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
 def make_trainer(
     output: Path, config: RunConfig, capture: Capture, split: Split, listener: Listener | None = None
 ) -> Trainer:
-    """A trainer before its first step."""
+    """A trainer with an untrained avatar."""
     method = registry.load(config.method)
     rasterize = method.rasterizer(config.device, config.backend)
-    scene, reader = assemble(config, capture, split, config.device, rasterize)
+    scene, reader = make_scene(config, capture, split, config.device, rasterize)
     avatar = method.build(method.config_from(config.method_config, f"method {config.method}"), scene)
     return Trainer(
-        avatar, reader, split, rasterize, scene.background, config.training, config.seed, output, listener or Silence()
-    )  # fmt: skip
+        avatar=avatar,
+        frames=reader,
+        split=split,
+        rasterize=rasterize,
+        background=scene.background,
+        plan=config.training,
+        seed=config.seed,
+        folder=output,
+        listener=listener or NullListener(),
+    )
 
 
 def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunConfig:
@@ -133,15 +146,19 @@ def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunC
         raise InputError(
             f"{output}: was trained on {config.capture}, not on {capture.folder}; choose another folder with -o"
         )
-    own = {**dataclasses.asdict(config), **dataclasses.asdict(config.training)}
-    own["background"] = tuple(config.background)
-    wanted = {**options, **({"background": parse_background(options["background"])} if "background" in options else {})}
+    saved = {**dataclasses.asdict(config), **dataclasses.asdict(config.training)}
+    saved["background"] = tuple(config.background)
+    requested = dict(options)
+    if "background" in options:
+        requested["background"] = parse_background(options["background"])
     if options.get("method") == "ggavatar":
-        wanted.pop("method")  # the default of the command line, not a wish
-    for name, value in wanted.items():
-        if name in own and own[name] != value and not (name == "device" and value == "auto"):
-            way_out = "leave the flag out or start a new run"
-            raise InputError(f"{output}: --resume goes on with {name} = {own[name]}, not {value}; {way_out}")
+        requested.pop("method")  # the default of the command line, which need not have been requested
+    for name, value in requested.items():
+        if name in saved and saved[name] != value and not (name == "device" and value == "auto"):
+            raise InputError(
+                f"{output}: --resume continues with {name} = {saved[name]}, found {value}; omit the flag or start a "
+                "new run"
+            )
     if options.get("set"):
-        raise InputError(f"{output}: --resume goes on with the run's own settings; leave --set out or start a new run")
+        raise InputError(f"{output}: --resume continues with the run's own settings; omit --set or start a new run")
     return config

@@ -1,7 +1,4 @@
-"""The training loop.
-
-It names no method: everything a method wants goes through the four calls of `ggavatar.core.Avatar`.
-"""
+"""The training loop, which is the same for all methods: a method takes part through `ggavatar.core.Avatar` alone."""
 
 from __future__ import annotations
 
@@ -30,18 +27,19 @@ from ggavatar.training.checkpoint import (
     unpack_optimizers,
 )
 from ggavatar.training.journal import Journal
-from ggavatar.training.plan import Training
+from ggavatar.training.plan import TrainingPlan
 from ggavatar.training.progress import Listener
 
 
 class TrainingError(RuntimeError):
-    """The training cannot go on; the last checkpoint is untouched."""
+    """The training cannot continue; the last checkpoint is intact."""
 
 
 class StopSignals:
-    """While active, Ctrl-C and SIGTERM ask the loop to stop after the current step.
+    """While active, SIGINT (Ctrl-C) and SIGTERM stop the loop after the current step; a second signal stops it at once.
 
-    A second Ctrl-C interrupts at once.
+    Attributes:
+        received: Number of the signal that was received, or None.
     """
 
     def __init__(self) -> None:
@@ -65,36 +63,36 @@ class StopSignals:
 
 @dataclass
 class FiniteGuard:
-    """Skips steps whose numbers are not finite and gives up after too many.
+    """Skips steps whose loss or gradient is not finite, and stops the training after too many of them.
 
     Attributes:
-        limit: Bad steps in all, after which the training ends.
-        count: Bad steps so far.
+        limit: Number of skipped steps at which the training stops.
+        count: Steps skipped so far.
     """
 
     limit: int
     count: int = 0
 
     def passes(self, step: int, terms: Mapping[str, Tensor], avatar: torch.nn.Module) -> bool:
-        """Whether loss terms and gradients are finite; call after backward.
+        """Whether all loss terms and gradients are finite; call it after the backward pass.
 
         Raises:
             TrainingError: The limit is reached.
         """
-        culprit = _not_finite(terms, avatar)
-        if culprit is None:
+        source = _find_not_finite(terms, avatar)
+        if source is None:
             return True
         self.count += 1
         if self.count >= self.limit:
             raise TrainingError(
-                f"step {step}: {culprit} is not finite, {self.count} times in all. Usual causes: tracking that puts "
-                "the head behind or far from the camera (run ggavatar-doctor on the capture), a learning rate set too "
-                "high, an empty mask. What was saved before is good."
+                f"step {step}: {source} is not finite; this has happened {self.count} times. Common causes: tracking "
+                "that puts the head behind the camera or far away (run ggavatar-doctor on the capture), a learning "
+                "rate that is too high, an empty mask. Earlier checkpoints are intact."
             )
         return False
 
 
-def _not_finite(terms: Mapping[str, Tensor], avatar: torch.nn.Module) -> str | None:
+def _find_not_finite(terms: Mapping[str, Tensor], avatar: torch.nn.Module) -> str | None:
     for name, value in terms.items():
         if not math.isfinite(value.item()):
             return f"loss term {name!r}"
@@ -109,19 +107,19 @@ def _not_finite(terms: Mapping[str, Tensor], avatar: torch.nn.Module) -> str | N
 
 @dataclass
 class Trainer:
-    """One training and where it writes.
+    """One training, from its avatar to its run folder.
 
     Attributes:
         avatar: A method's avatar, an `nn.Module`.
-        frames: Where frames come from.
-        split: Frames to train on and to look at.
+        frames: Reads the frames of the capture.
+        split: Frames to train on and to test on.
         rasterize: The renderer.
         background: sRGB.
-        plan: Length, resolutions and intervals.
-        seed: Decides the order of the frames.
+        plan: Length, schedules and intervals.
+        seed: Determines the order of the frames.
         folder: The run folder.
-        listener: Is told how it goes.
-        seconds: Spent training, over all sessions.
+        listener: Receives the progress.
+        seconds: Training time over all sessions, s.
     """
 
     avatar: Any
@@ -129,14 +127,14 @@ class Trainer:
     split: Split
     rasterize: Rasterizer
     background: Tensor
-    plan: Training
+    plan: TrainingPlan
     seed: int
     folder: Path
     listener: Listener
     seconds: float = 0.0
 
     def resume(self) -> int:
-        """Load the newest complete checkpoint, if there is one; returns the steps done."""
+        """Load the newest complete checkpoint, if there is one, and return the steps done."""
         checkpoints = self.folder / "checkpoints"
         if not complete_steps(checkpoints):
             return 0
@@ -147,10 +145,10 @@ class Trainer:
         return int(record["step"])
 
     def run(self, done: int, stop: StopSignals) -> int:
-        """Train from step `done` + 1 to the end or until a signal; returns the steps done, which are saved.
+        """Train from step `done` + 1 to the last step or until a signal, save, and return the steps done.
 
         Raises:
-            TrainingError: Numbers stay not finite.
+            TrainingError: Losses or gradients are not finite too often.
             OSError: A checkpoint cannot be written.
         """
         guard = FiniteGuard(self.plan.bad_steps)
@@ -161,10 +159,10 @@ class Trainer:
         try:
             self.avatar.train()
             for step, frame in enumerate(stream, done + 1):
-                drawn, terms = self._step(step, frame, guard)
+                rendering, terms = self._step(step, frame, guard)
                 done = step
                 self.seconds = before + time.monotonic() - started
-                self._report(step, frame, drawn, terms, train_log)
+                self._report(step, frame, rendering, terms, train_log)
                 if _is_due(step, self.plan.eval_every, self.plan.steps):
                     self._evaluate(step, eval_log)
                 if _is_due(step, self.plan.save_every, self.plan.steps) or stop.received is not None:
@@ -195,25 +193,25 @@ class Trainer:
             yield number, *self.plan.size_at(step, camera.width, camera.height)
 
     def _step(self, step: int, frame: Frame, guard: FiniteGuard) -> tuple[Rendering, Mapping[str, Tensor]]:
-        """One update: draw, compare, step the optimisers, then let the method change its rows."""
+        """One update: render, compute the losses, step the optimizers, then let the method change its rows."""
         avatar = self.avatar
-        drawn = self.rasterize(avatar.gaussians(frame.drive), frame.camera, self.background)
-        terms = avatar.losses(frame, drawn, step)
+        rendering = self.rasterize(avatar.gaussians(frame.drive), frame.camera, self.background)
+        terms = avatar.losses(frame, rendering, step)
         torch.stack(list(terms.values())).sum().backward()
         optimizers = avatar.optimizers()
         if guard.passes(step, terms, avatar):
             for optimizer in optimizers:
-                step_at(optimizer, self.plan.rate_at(step))
-            avatar.after_backward(drawn, step)
+                step_with_rate_factor(optimizer, self.plan.rate_factor(step))
+            avatar.after_backward(rendering, step)
         for optimizer in avatar.optimizers():
             optimizer.zero_grad(set_to_none=True)
-        return drawn, terms
+        return rendering, terms
 
-    def _report(self, step: int, frame: Frame, drawn: Rendering, terms: Mapping[str, Tensor], log: Journal) -> None:
-        """Log the terms by name and tell the listener."""
+    def _report(self, step: int, frame: Frame, rendering: Rendering, terms: Mapping[str, Tensor], log: Journal) -> None:
+        """Log the loss terms by name and notify the listener."""
         values = {name: value.item() for name, value in terms.items()}
         loss = sum(values.values())
-        count = len(drawn.radii)
+        count = len(rendering.radii)
         if step % self.plan.log_every == 0 or step == self.plan.steps:
             finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
             size = f"{frame.camera.width}x{frame.camera.height}"
@@ -236,8 +234,8 @@ class Trainer:
         values = {}
         for number in spaced(self.split.test, self.plan.eval_frames):
             frame = self.frames.frame(number)
-            drawn = self.rasterize(self.avatar.gaussians(frame.drive), frame.camera, self.background)
-            error = (drawn.image.clamp(0, 1) - frame.image).square().mean()
+            rendering = self.rasterize(self.avatar.gaussians(frame.drive), frame.camera, self.background)
+            error = (rendering.image.clamp(0, 1) - frame.image).square().mean()
             values[str(number)] = float(-10 * torch.log10(error.clamp_min(1e-10)))
         self.avatar.train()
         psnr = sum(values.values()) / len(values)
@@ -245,8 +243,8 @@ class Trainer:
         self.listener.evaluated(step, psnr)
 
 
-def step_at(optimizer: torch.optim.Optimizer, factor: float) -> None:
-    """One step at `factor` times the rates, which stay the method's own."""
+def step_with_rate_factor(optimizer: torch.optim.Optimizer, factor: float) -> None:
+    """One step at `factor` times the optimizer's learning rates, which are unchanged afterwards."""
     rates = [group["lr"] for group in optimizer.param_groups]
     for group, rate in zip(optimizer.param_groups, rates, strict=True):
         group["lr"] = factor * rate

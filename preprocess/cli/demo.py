@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError
 
 
@@ -44,7 +44,7 @@ class Options:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ggavatar-demo`; returns the exit code."""
-    answer_version("ggavatar-demo", arguments)
+    handle_version_flag("ggavatar-demo", arguments)
     options = tyro.cli(Options, args=arguments, prog="ggavatar-demo", description=Options.__doc__)
     return run_command(lambda: _write(options))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import GateError
 
 
@@ -33,7 +33,7 @@ class DoctorOptions:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    answer_version("ggavatar-doctor", arguments)
+    handle_version_flag("ggavatar-doctor", arguments)
     options = tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=None if arguments is None else list(arguments))
     return run_command(lambda: _examine(options))
 

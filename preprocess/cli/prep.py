@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import answer_version
+from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import GateError
 from preprocess.options import PrepOptions
 
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import tyro
 
     given = _dashed_paths(sys.argv[1:] if arguments is None else arguments)
-    answer_version("ggavatar-prep", given)
+    handle_version_flag("ggavatar-prep", given)
     options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
     return run_command(lambda: _prepared(options))
 

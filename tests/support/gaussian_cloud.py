@@ -1,4 +1,4 @@
-"""A small lopsided cloud of Gaussians with view-dependent colour, and a camera that sees it askew."""
+"""A small asymmetric cloud of Gaussians with view-dependent color, and a camera above and beside it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ggavatar.render.reference import rasterize
 
 
 def cloud(count: int = 60, degree: int = 3, seed: int = 0) -> Gaussians:
-    """Gaussians of 8 to 40 mm in a head-sized box; opacities, rotations and colours at random."""
+    """Gaussians of 8 to 40 mm in a head-sized box; opacities, rotations and colors at random."""
     random = torch.Generator().manual_seed(seed)
     means = (torch.rand(count, 3, generator=random) - 0.5) * torch.tensor([0.2, 0.3, 0.1])
     colors = torch.rand(count, (degree + 1) ** 2, 3, generator=random) - 0.5
@@ -34,11 +34,11 @@ def camera(side: int = 64) -> Camera:
     return Camera(intrinsics, view, side, side)
 
 
-def picture(gaussians: Gaussians) -> torch.Tensor:
-    """What the plain-torch rasteriser draws of them on white."""
+def render(gaussians: Gaussians) -> torch.Tensor:
+    """Their image on white by the plain-torch rasterizer."""
     return rasterize(gaussians, camera(), torch.ones(3)).image
 
 
 def psnr(left: torch.Tensor, right: torch.Tensor) -> float:
-    """Of two pictures, dB."""
+    """PSNR between two images, dB."""
     return float(-10 * np.log10(max(float(((left - right) ** 2).mean()), 1e-12)))

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import evaluate.rendering.jobs
-from evaluate.cli.render import counter, main
+from evaluate.cli.render import main
 from evaluate.rendering.views import straight_alpha
 from ggavatar.io.images import read_rgb
 from ggavatar.training.run_folder import Run
@@ -53,7 +53,7 @@ def test_test_frames_as_images_video_and_alpha(
     assert alpha.max() > 0.5 and np.abs(again - read_rgb(folder / "frames" / "000010.png")).max() <= 2
     shown = capsys.readouterr()
     written = [str(folder / name) for name in ("frames", "rgba", "render.mp4")]
-    assert shown.out.splitlines() == written and "rendered 2 of 2" in shown.err
+    assert shown.out.splitlines() == written and "rendering 2/2" in shown.err
 
 
 def test_orbit_and_its_figure(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -160,11 +160,3 @@ def test_straight_alpha_composites_back() -> None:
     torch.testing.assert_close(rgba[1:, :, :3], color[1:], atol=1e-4, rtol=0)
     torch.testing.assert_close(rgba[..., 3:], alpha)
     assert not rgba[0, :, :3].any()
-
-
-def test_progress_is_quiet_off_a_terminal() -> None:
-    lines: list[str] = []
-    show = counter(lines.append, live=False)
-    for done in range(1, 201):
-        show(done, 200)
-    assert len(lines) == 10 and lines[-1] == "rendered 200 of 200\n"

@@ -17,7 +17,7 @@ from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import stored
+from ggavatar.formats.stored_gaussians import to_stored
 from ggavatar.formats.unbinding import unbind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.io.images import read_rgb
@@ -49,7 +49,7 @@ def plain(tmp_path: Path) -> Path:
     run = toy_run(tmp_path / "home")
     with torch.no_grad():
         gaussians = run.avatar.gaussians(run.reader.drive(10))
-    write_gaussian_ply(tmp_path / "baked.ply", stored(gaussians))
+    write_gaussian_ply(tmp_path / "baked.ply", to_stored(gaussians))
     return tmp_path / "baked.ply"
 
 
@@ -90,7 +90,7 @@ def test_bound_file_moves_with_the_captures_head(
     first, last = (read_rgb(folder / f"{number:06d}.png") for number in (10, 15))
     assert len(list(folder.iterdir())) == 6 and not np.array_equal(first, last)
     assert render(monkeypatch, bound, "--capture", capture.folder, "--split", "all", "--resume") == 0
-    write_gaussian_ply(bound, stored(_one_ball()))
+    write_gaussian_ply(bound, to_stored(_one_ball()))
     assert render(monkeypatch, bound, "--capture", capture.folder, "--split", "all", "--resume") == 2
 
 
@@ -122,7 +122,7 @@ def test_front_camera_sees_the_face_upright(tmp_path: Path) -> None:
         torch.full((2,), 0.95),
         torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
     )
-    write_gaussian_ply(tmp_path / "balls.ply", stored(balls))
+    write_gaussian_ply(tmp_path / "balls.ply", to_stored(balls))
     file = open_standalone(tmp_path / "balls.ply", GaussianFileOptions(), "cpu", "reference")
     drive, view, center = file.front_view()
     assert float(center.abs().max()) < 0.01 and extent(balls)[1] == pytest.approx(0.096 + 0.04, abs=1e-3)
@@ -154,7 +154,7 @@ def test_scores_follow_the_file(plain: Path, capture: Capture, tmp_path: Path) -
     metrics = tmp_path / "baked" / "eval" / "paper-v1+resolution=32x24" / "metrics.json"
     assert evaluate(plain, "--capture", capture.folder) == 0
     before = json.loads(metrics.read_text())["summary"]["psnr"]["mean"]
-    write_gaussian_ply(plain, stored(_one_ball()))
+    write_gaussian_ply(plain, to_stored(_one_ball()))
     assert evaluate(plain, "--capture", capture.folder) == 0
     assert json.loads(metrics.read_text())["summary"]["psnr"]["mean"] != before
 
@@ -171,7 +171,7 @@ def test_files_and_runs_stand_in_one_table(plain: Path, bound: Path, capture: Ca
     [
         (("FILE",), "--capture DIR"),
         (("FILE", "--capture", "nowhere"), "capture.json"),
-        (("FILE", "--orbit", "--head-model", "x.pkl"), "bound to no head"),
+        (("FILE", "--orbit", "--head-model", "x.pkl"), "found no binding_0"),
         (("missing.ply", "--orbit"), "no such file"),
         (("RUN", "--axes", "viewer"), "belong to a file of Gaussians"),
     ],

@@ -1,8 +1,10 @@
-"""ggavatar-export as a user meets it: what it writes, what it says, what it refuses, nothing left behind."""
+"""The command ggavatar-export: files, messages, refusals, and nothing left behind after a failure."""
 
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +17,10 @@ from ggavatar.errors import InputError
 from ggavatar.formats import export as exporting
 from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.imported_run import open_imported_run
-from ggavatar.formats.output_folder import appearing_folder
-from ggavatar.formats.poses import neutral_pose
+from ggavatar.formats.output_folder import atomic_folder
+from ggavatar.formats.poses import neutral_drive
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import activated
+from ggavatar.formats.stored_gaussians import activate
 from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import open_run
 from ggavatar.training.session import train_run
@@ -27,7 +29,7 @@ from tests.support.gaussian_cloud import psnr
 
 @pytest.fixture(scope="module")
 def run_folder(toy_capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of a few steps: what is exported need not be a good likeness."""
+    """A run of a few steps; the quality of the avatar does not matter."""
     folder = tmp_path_factory.mktemp("trained") / "run"
     train_run(toy_capture.folder, folder, {"steps": 4, "device": "cpu", "set": ["perceptual_weight=0"]}, quiet=True)
     return folder
@@ -40,14 +42,14 @@ def export(*arguments: object) -> int:
         return int(leaving.code or 0)
 
 
-def drawn(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
-    """A frame by the run and by a file of it."""
+def rendered(run_folder: Path, number: int, path: Path) -> tuple[torch.Tensor, torch.Tensor]:
+    """The image of a frame by the run, and by a file exported from it."""
     run = open_run(run_folder)
     file = open_imported_run(path, GaussianFileOptions(capture=run.capture.folder))
     drive, camera = run.reader.drive(number), run.reader.camera(number)
     with torch.no_grad():
-        pictures = [one.rasterize(one.avatar.gaussians(drive), camera, run.background).image for one in (run, file)]
-    return pictures[0], pictures[1]
+        images = [one.rasterize(one.avatar.gaussians(drive), camera, run.background).image for one in (run, file)]
+    return images[0], images[1]
 
 
 def test_a_frame_is_baked_and_drawn_again(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,7 +58,7 @@ def test_a_frame_is_baked_and_drawn_again(run_folder: Path, capsys: pytest.Captu
     path = run_folder / "exports" / f"frame-{number:06d}.ply"
     shown = capsys.readouterr().out
     assert f"wrote {path}" in shown and f"next: ggavatar-render {path}" in shown
-    ours, theirs = drawn(run_folder, number, path)
+    ours, theirs = rendered(run_folder, number, path)
     assert float(ours.std()) > 0.02 and psnr(ours, theirs) > 70
 
 
@@ -69,7 +71,7 @@ def test_bound_layout_moves_like_the_run(
     assert sorted(path.name for path in out.iterdir()) == ["flame_param.npz", "point_cloud.ply"]
     shown = capsys.readouterr().out
     assert "not FLAME" in shown and "--capture" in shown
-    ours, theirs = drawn(run_folder, number, out / "point_cloud.ply")
+    ours, theirs = rendered(run_folder, number, out / "point_cloud.ply")
     assert psnr(ours, theirs) > 70
     run = open_run(run_folder)
     rows = read_gaussian_ply(out / "point_cloud.ply")
@@ -99,14 +101,16 @@ def test_rows_of_parameters_are_baked(run_folder: Path, toy_capture: Capture, tm
     assert export(run_folder, "--drive", tmp_path / "talk.npz") == 0
     folder = run_folder / "exports" / "talk-ply"
     assert sorted(path.name for path in folder.iterdir()) == ["000000.ply", "000001.ply", "000002.ply"]
-    first, third = (activated(read_gaussian_ply(folder / f"00000{row}.ply")) for row in (0, 2))
+    first, third = (activate(read_gaussian_ply(folder / f"00000{row}.ply")) for row in (0, 2))
     assert float((first.means - third.means).abs().max()) > 1e-4, "it moves"
     np.savez(tmp_path / "other.npz", expression=tracking.expression[:3], version="flame2020")
     assert export(run_folder, "--drive", tmp_path / "other.npz") == 2
     assert run.step == 4
 
 
-def test_what_exists_stays_unless_said(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_files_are_replaced_only_on_request(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "a.ply"
     path.write_text("mine")
     assert export(run_folder, "-o", path) == 2 and "--overwrite" in capsys.readouterr().err
@@ -142,8 +146,8 @@ def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: p
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", fail_for_new)
-    with pytest.raises(OSError, match="Input/output"), appearing_folder(folder, overwrite=True) as unfinished:
-        (unfinished / "a").write_text("new")
+    with pytest.raises(OSError, match="Input/output"), atomic_folder(folder, overwrite=True) as temporary:
+        (temporary / "a").write_text("new")
     assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
 
 
@@ -160,7 +164,7 @@ def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: p
         (("--step", "3"), "complete checkpoints"),
     ],
 )
-def test_wrong_wishes(
+def test_wrong_arguments(
     run_folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
 ) -> None:
     assert export(run_folder, *arguments) == 2
@@ -168,10 +172,29 @@ def test_wrong_wishes(
     assert words in shown and "Traceback" not in shown
 
 
+def test_a_device_that_is_not_there_is_one_line(
+    run_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for device, words in (("cuda", "no CUDA device"), ("tpu", "expected auto, cpu, cuda")):
+        assert main([str(run_folder), "--device", device]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("error: --device") and words in line
+
+
 def test_no_run_and_unknown_flags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert export(tmp_path) == 2 and "expected a run folder" in capsys.readouterr().err
     assert export(tmp_path, "--no-such-flag") == 2
     assert export("--help") == 0 and "vhap" in capsys.readouterr().out
+
+
+def test_help_starts_without_torch() -> None:
+    code = (
+        "import sys; from ggavatar.cli.export import main\n"
+        "try: main(['--help'])\nfinally: print('torch' in sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert shown.returncode == 0 and shown.stdout.rstrip().endswith("False")
 
 
 def test_methods_without_a_binding_are_bound_to_the_nearest(
@@ -182,17 +205,17 @@ def test_methods_without_a_binding_are_bound_to_the_nearest(
     out = tmp_path / "bound"
     assert export(run_folder, "--format", "gaussian-avatars", "--frame", number, "-o", out) == 0
     assert "bound to the nearest" in capsys.readouterr().out
-    ours, theirs = drawn(run_folder, number, out / "point_cloud.ply")
+    ours, theirs = rendered(run_folder, number, out / "point_cloud.ply")
     assert psnr(ours, theirs) > 70
 
 
 def test_methods_with_a_renderer_of_their_own_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ggavatar.cli.export import _drawn_otherwise
+    from ggavatar.cli.export import _renderer_notes
     from ggavatar.training import registry
 
-    assert _drawn_otherwise("ggavatar") == []
+    assert _renderer_notes("ggavatar") == []
     monkeypatch.setattr(registry.load("ggavatar").module, "rasterizer", object(), raising=False)
-    assert "renderer of its own" in _drawn_otherwise("ggavatar")[0]
+    assert "renderer of its own" in _renderer_notes("ggavatar")[0]
 
 
 def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path) -> None:
@@ -200,4 +223,4 @@ def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path
     head = load_head(run.capture.head_path)
     other = dataclasses.replace(head, joint_names=("root", "chin", "neck", "left_eye", "right_eye"))
     with pytest.raises(InputError, match="FLAME's joints"):
-        exporting.export_bound(run, other, neutral_pose(run, head), tmp_path / "x", False)
+        exporting.export_bound(run, other, neutral_drive(run, head).drive, tmp_path / "x", False)

@@ -1,4 +1,4 @@
-"""The memory a process has freed stays with it; seen as page faults, which the system counts (reference: getrusage)."""
+"""Freed memory stays with the process, measured by its page faults (reference: getrusage)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 
 def faults(mode: str) -> int:
-    """Page faults of twenty rounds that take and free 90 MB, after one that nobody counts."""
+    """Page faults of twenty rounds that allocate and free 90 MB, after one round of warm-up."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC_")}
     command = [sys.executable, "-c", COUNT, mode]
     return int(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)

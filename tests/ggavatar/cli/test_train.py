@@ -1,4 +1,4 @@
-"""ggavatar-train and ggavatar-sweep from the outside: exit codes, messages, nothing lost."""
+"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def test_help_lists_methods_and_starts_without_torch() -> None:
         (["{capture}", "-o", "{out}", "--device", "tpu"], "--device"),
         (["{capture}", "-o", "{out}", "--background", "2,0,0"], "--background"),
         (["{capture}", "-o", "{out}", "--split", "some"], "split"),
-        (["{capture}", "-o", "{out}", "--backend", "vulkan"], "rasteriser"),
-        (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "exclude each other"),
+        (["{capture}", "-o", "{out}", "--backend", "vulkan"], "raster"),
+        (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "mutually exclusive"),
         (["{capture}", "-o", "{file}"], "found a file"),
         (["{capture}", "-o", "{out}", "--sede", "1"], "--seed"),
     ],
@@ -107,7 +107,7 @@ def test_read_only_capture_is_fine_and_unwritable_output_is_a_failure(
     def refuse(folder: Path, overwrite: bool) -> None:
         raise PermissionError(13, "Permission denied", str(folder))
 
-    monkeypatch.setattr(session, "create_folder", refuse)
+    monkeypatch.setattr(session, "create_run_folder", refuse)
     assert train(monkeypatch, str(toy_capture.folder), "-o", str(tmp_path / "run"), "--device", "cpu") == 1
     assert "check the permissions" in capfd.readouterr().err
 
@@ -126,7 +126,7 @@ def test_sweep_trains_the_grid_once_and_reports_failures(
     configs = [json.loads(path.read_text()) for path in sorted((tmp_path / "grid").rglob("config.json"))]
     assert [config["seed"] for config in configs] == [7]
     assert sweep.sweep(arguments) == 1
-    assert capfd.readouterr().out.count("finished before") == 1
+    assert capfd.readouterr().out.count("already finished") == 1
 
 
 def test_sweep_refuses_unknown_methods_and_equal_names(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import activated, stored
+from ggavatar.formats.stored_gaussians import activate, to_stored
 from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.gaussians.binding import bind_in_torch
 from ggavatar.geometry.transforms import quaternion_to_matrix
@@ -26,7 +26,7 @@ from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.model import HeadModel
 from ggavatar.optim.parameters import Column, Rows
-from tests.support.gaussian_cloud import cloud, picture, psnr
+from tests.support.gaussian_cloud import cloud, psnr, render
 
 TIMESTEPS = 24
 
@@ -42,7 +42,7 @@ def test_unbinding_is_the_inverse_of_binding(toy_head: HeadModel) -> None:
         gaussians, means=gaussians.means.double(), quats=gaussians.quats.double(), scales=gaussians.scales.double()
     )
     rows = unbind(double, on_faces(toy_head), frames)
-    local = activated(rows)
+    local = activate(rows)
     placed = bind_in_torch(
         local.means.double(), local.quats.double(), local.scales.double().log(), on_faces(toy_head), frames
     )
@@ -54,7 +54,7 @@ def test_unbinding_is_the_inverse_of_binding(toy_head: HeadModel) -> None:
 
 
 def bound_file(folder: Path, capture: Capture) -> tuple[Path, Gaussians]:
-    """Gaussians around the toy head as a bound file, and as they stand in the first frame."""
+    """Gaussians around the toy head as a bound file, and in world space."""
     head = load_head(capture.head_path)
     drive = head.neutral_drive()
     gaussians = cloud()
@@ -71,7 +71,7 @@ def test_bound_file_gives_back_the_world(toy_capture: Capture, tmp_path: Path) -
     found = avatar.gaussians(head.neutral_drive())
     torch.testing.assert_close(found.means, gaussians.means, atol=1e-6, rtol=0)
     torch.testing.assert_close(found.scales, gaussians.scales, atol=0, rtol=1e-4)
-    assert psnr(picture(found), picture(gaussians)) > 80
+    assert psnr(render(found), render(gaussians)) > 80
     moved = avatar.gaussians(dataclasses.replace(head.neutral_drive(), translation=torch.tensor([0.0, 0.05, 0.0])))
     torch.testing.assert_close(moved.means, gaussians.means + torch.tensor([0.0, 0.05, 0.0]), atol=1e-6, rtol=0)
 
@@ -121,7 +121,7 @@ def test_what_a_bound_file_needs_is_said(toy_capture: Capture, tmp_path: Path) -
     path, _ = bound_file(tmp_path, toy_capture)
     with pytest.raises(InputError, match="--head-model FILE"):
         open_gaussians(path, GaussianFileOptions())
-    with pytest.raises(InputError, match="found none"):
+    with pytest.raises(InputError, match="found no such file"):
         open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "no.pkl"))
     rows = read_gaussian_ply(path)
     assert rows.faces is not None
@@ -130,10 +130,10 @@ def test_what_a_bound_file_needs_is_said(toy_capture: Capture, tmp_path: Path) -
         open_gaussians(tmp_path / "far.ply", GaussianFileOptions(), toy_capture)
     head = load_head(toy_capture.head_path)
     save_head(dataclasses.replace(head, version="egg-2"), tmp_path / "other.npz")
-    with pytest.raises(InputError, match="mean different things"):
+    with pytest.raises(InputError, match="differ in meaning"):
         open_gaussians(path, GaussianFileOptions(head_model=tmp_path / "other.npz"), toy_capture)
-    write_gaussian_ply(tmp_path / "plain.ply", stored(cloud()))
-    with pytest.raises(InputError, match="bound to no head"):
+    write_gaussian_ply(tmp_path / "plain.ply", to_stored(cloud()))
+    with pytest.raises(InputError, match="found no binding_0"):
         open_gaussians(tmp_path / "plain.ply", GaussianFileOptions(head_model=tmp_path / "other.npz"))
 
 
@@ -143,7 +143,7 @@ def test_bindings_are_whole_numbers(toy_capture: Capture, tmp_path: Path, value:
     content = bytearray(path.read_bytes())
     content[-4:] = np.float32(value).tobytes()
     path.write_bytes(bytes(content))
-    with pytest.raises(InputError, match="whole numbers of triangles"):
+    with pytest.raises(InputError, match="indices of triangles"):
         read_gaussian_ply(path)
 
 
@@ -181,7 +181,7 @@ def test_flame_parameters_round_trip_and_their_faults(tmp_path: Path) -> None:
 
 
 def flame_sized(seed: int) -> HeadModel:
-    """A head with FLAME's numbers of vertices, triangles and joints, its lips a known distance apart."""
+    """A head with as many vertices, triangles and joints as FLAME, and lips at a known distance."""
     random = torch.Generator().manual_seed(seed)
     template = torch.rand(FLAME_VERTICES, 3, generator=random) * 0.2
     across = torch.linspace(-0.02, 0.02, 15)
@@ -253,7 +253,7 @@ def test_flame_file_with_teeth_offset_and_identity(tmp_path: Path) -> None:
         shape, np.zeros((1, 100), np.float32), np.zeros((1, 5, 3), np.float32), np.zeros((1, 3), np.float32), offset
     )
     write_flame_parameters(tmp_path / "flame_param.npz", zero, FLAME_VERTICES)
-    rows = dataclasses.replace(stored(cloud()), faces=np.full(60, 10143))
+    rows = dataclasses.replace(to_stored(cloud()), faces=np.full(60, 10143))
     write_gaussian_ply(tmp_path / "point_cloud.ply", rows)
     avatar = open_gaussians(tmp_path / "point_cloud.ply", GaussianFileOptions(head_model=tmp_path / "flame2023.npz"))
     assert isinstance(avatar, BoundAvatar)

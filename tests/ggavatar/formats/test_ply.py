@@ -12,22 +12,22 @@ from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
-from ggavatar.formats.ply import MAX_ROWS, read_header
-from ggavatar.formats.stored_gaussians import Stored, stored
+from ggavatar.formats.ply import MAX_ROWS, Header, read_header
+from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
 from tests.support.gaussian_cloud import cloud
 
-MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZING = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 MEBIBYTE = 1 << 20
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("sound") / "a.ply"
-    write_gaussian_ply(path, stored(cloud(5, 1)))
+    write_gaussian_ply(path, to_stored(cloud(5, 1)))
     return path.read_bytes()
 
 
-def outcome(folder: Path, content: bytes) -> Stored | None:
+def outcome(folder: Path, content: bytes) -> StoredGaussians | None:
     """The Gaussians, or None where the file was refused with a message that names it."""
     path = folder / "hostile.ply"
     path.write_bytes(content)
@@ -43,12 +43,12 @@ def outcome(folder: Path, content: bytes) -> Stored | None:
         assert peak < 4 * MEBIBYTE
 
 
-def is_sound(rows: Stored) -> bool:
-    arrays = (rows.means, rows.constant, rows.rest, rows.opacity_logits, rows.log_scales, rows.quats)
+def is_sound(rows: StoredGaussians) -> bool:
+    arrays = (rows.means, rows.sh_dc, rows.sh_rest, rows.opacity_logits, rows.log_scales, rows.quats)
     return all(np.isfinite(array).all() for array in arrays) and len(rows) > 0
 
 
-@MANY
+@FUZZING
 @given(data=st.data())
 def test_cut_off(sound: bytes, tmp_path: Path, data: st.DataObject) -> None:
     length = data.draw(st.integers(0, len(sound) - 1))
@@ -56,7 +56,7 @@ def test_cut_off(sound: bytes, tmp_path: Path, data: st.DataObject) -> None:
     assert outcome(tmp_path, sound + sound[:length] + b"x") is None
 
 
-@MANY
+@FUZZING
 @given(data=st.data())
 def test_flipped_bits(sound: bytes, tmp_path: Path, data: st.DataObject) -> None:
     changed = bytearray(sound)
@@ -66,7 +66,7 @@ def test_flipped_bits(sound: bytes, tmp_path: Path, data: st.DataObject) -> None
     assert found is None or is_sound(found)
 
 
-@MANY
+@FUZZING
 @given(count=st.one_of(st.integers(6), st.integers(-(10**6), 4), st.integers(MAX_ROWS - 2, 10**40)))
 def test_absurd_counts(sound: bytes, tmp_path: Path, count: int) -> None:
     assert outcome(tmp_path, sound.replace(b"vertex 5\n", b"vertex %d\n" % count)) is None
@@ -80,14 +80,14 @@ WORDS = st.sampled_from(
 )
 
 
-@MANY
+@FUZZING
 @given(lines=st.lists(st.lists(WORDS, max_size=5).map(" ".join), max_size=12), body=st.binary(max_size=200))
 def test_nonsense_heads(tmp_path: Path, lines: list[str], body: bytes) -> None:
     head = "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""])
     assert outcome(tmp_path, head.encode() + body) is None
 
 
-@MANY
+@FUZZING
 @given(content=st.binary(max_size=400))
 def test_noise(tmp_path: Path, content: bytes) -> None:
     assert outcome(tmp_path, content) is None
@@ -100,12 +100,12 @@ def test_noise(tmp_path: Path, content: bytes) -> None:
         (b"binary_little_endian", b"binary_big_endian", "binary_little_endian"),
         (b"property float x\n", b"property list uchar int x\n", "each name once"),
         (b"property float y\n", b"property float x\n", "each name once"),
-        (b"property float x\n", b"property float q\n", "none named x"),
+        (b"property float x\n", b"property float q\n", "found no x"),
         (b"f_rest_8\n", b"f_rest_9\n", "f_rest_0"),
         (b"element vertex 5", b"element chunk 1\nelement vertex 5", "splat-transform"),
         (b"property float nx\n", b"element face 3\n", "each name once"),
-        (b"float opacity", b"double opacity", "cut off"),
-        (b"comment ggavatar", b"comment \xff\xfe", "plain text"),
+        (b"float opacity", b"double opacity", "truncated"),
+        (b"comment ggavatar", b"comment \xff\xfe", "ASCII text"),
     ],
 )
 def test_what_is_wrong_is_said(sound: bytes, tmp_path: Path, old: bytes, new: bytes, words: str) -> None:
@@ -123,7 +123,7 @@ def poisoned(sound: bytes, column: int, value: float) -> bytes:
 def test_numbers_no_gaussian_has(sound: bytes, tmp_path: Path) -> None:
     header_names = list(_header(tmp_path, sound).properties)
     cases = {("x", 1e9): "positions", ("x", np.nan): "NaN", ("scale_1", 50.0): "scales", ("f_rest_3", np.inf): "NaN"}
-    cases |= {("f_dc_0", 1e6): "colours", ("opacity", np.nan): "NaN"}
+    cases |= {("f_dc_0", 1e6): "colors", ("opacity", np.nan): "NaN"}
     for (name, value), words in cases.items():
         (tmp_path / "a.ply").write_bytes(poisoned(sound, header_names.index(name), value))
         with pytest.raises(InputError, match=words):
@@ -132,7 +132,7 @@ def test_numbers_no_gaussian_has(sound: bytes, tmp_path: Path) -> None:
     assert is_sound(read_gaussian_ply(tmp_path / "a.ply")), "logits of the bytes 0 and 255 are infinite"
 
 
-def _header(folder: Path, content: bytes):  # type: ignore[no-untyped-def]
+def _header(folder: Path, content: bytes) -> Header:
     (folder / "h.ply").write_bytes(content)
     return read_header(folder / "h.ply")
 

@@ -20,11 +20,11 @@ from ggavatar.core import Gaussians
 from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored_gaussians import TURNED_SIGNS, activated, stored, turned
+from ggavatar.formats.stored_gaussians import SH_SIGNS_180_ABOUT_X, activate, rotate_180_about_x, to_stored
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.render.harmonics import sh_basis
-from tests.support.gaussian_cloud import cloud, picture, psnr
+from tests.support.gaussian_cloud import cloud, psnr, render
 
 HALF_TURN = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 WRITERS = {"ply": write_gaussian_ply, "splat": write_splat, "spz": write_spz}
@@ -34,18 +34,18 @@ WRITERS = {"ply": write_gaussian_ply, "splat": write_splat, "spz": write_spz}
 @pytest.mark.parametrize("viewer_axes", [True, False])
 def test_ply_round_trip_draws_the_same(tmp_path: Path, degree: int, viewer_axes: bool) -> None:
     gaussians = cloud(degree=degree)
-    write_gaussian_ply(tmp_path / "a.ply", stored(gaussians), viewer_axes)
-    found = activated(read_gaussian_ply(tmp_path / "a.ply"))
+    write_gaussian_ply(tmp_path / "a.ply", to_stored(gaussians), viewer_axes)
+    found = activate(read_gaussian_ply(tmp_path / "a.ply"))
     assert found.colors.shape == gaussians.colors.shape
-    drawn = picture(gaussians)
-    assert float(drawn.std()) > 0.05, "nothing to see"
-    assert float((picture(found) - drawn).abs().max()) < 1e-5
+    image = render(gaussians)
+    assert float(image.std()) > 0.05, "nothing to see"
+    assert float((render(found) - image).abs().max()) < 1e-5
     assert not list(tmp_path.glob("*.part")) and not list(tmp_path.glob(".*"))
 
 
 def test_ply_is_what_other_programs_expect(tmp_path: Path) -> None:
     gaussians = cloud()
-    write_gaussian_ply(tmp_path / "a.ply", stored(gaussians))
+    write_gaussian_ply(tmp_path / "a.ply", to_stored(gaussians))
     vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
     names = [item.name for item in vertex.properties]
     expected = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(45))]
@@ -54,7 +54,7 @@ def test_ply_is_what_other_programs_expect(tmp_path: Path) -> None:
     np.testing.assert_allclose(means, gaussians.means @ HALF_TURN, atol=1e-7)
     np.testing.assert_allclose(1 / (1 + np.exp(-vertex["opacity"])), gaussians.opacities, atol=1e-6)
     np.testing.assert_allclose(np.exp(vertex["scale_1"]), gaussians.scales[:, 1], rtol=1e-5)
-    red, green = (gaussians.colors[:, 1:, channel].numpy() * TURNED_SIGNS for channel in (0, 1))
+    red, green = (gaussians.colors[:, 1:, channel].numpy() * SH_SIGNS_180_ABOUT_X for channel in (0, 1))
     np.testing.assert_allclose(np.stack([vertex[f"f_rest_{k}"] for k in range(15)], axis=1), red)
     np.testing.assert_allclose(np.stack([vertex[f"f_rest_{k}"] for k in range(15, 30)], axis=1), green)
     turned_quats = torch.from_numpy(np.stack([vertex[f"rot_{k}"] for k in range(4)], axis=1))
@@ -63,8 +63,8 @@ def test_ply_is_what_other_programs_expect(tmp_path: Path) -> None:
 
 
 def test_names_decide_not_positions(tmp_path: Path) -> None:
-    """A file of another writer: other order, doubles, a column more, no normals."""
-    rows = stored(cloud(degree=1))
+    """A file of another writer: another order, doubles, an additional property, no normals."""
+    rows = to_stored(cloud(degree=1))
     write_gaussian_ply(tmp_path / "a.ply", rows, viewer_axes=False)
     vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"].data
     names = [name for name in reversed(vertex.dtype.names) if not name.startswith("n")]
@@ -74,40 +74,40 @@ def test_names_decide_not_positions(tmp_path: Path) -> None:
     element = plyfile.PlyElement.describe(shuffled, "vertex")
     plyfile.PlyData([element], byte_order="<", comments=["by another"]).write(tmp_path / "b.ply")
     found = read_gaussian_ply(tmp_path / "b.ply")
-    for field in ("means", "constant", "rest", "opacity_logits", "log_scales", "quats"):
+    for field in ("means", "sh_dc", "sh_rest", "opacity_logits", "log_scales", "quats"):
         np.testing.assert_array_equal(getattr(found, field), getattr(rows, field))
 
 
 def test_axes_can_be_said_where_a_file_does_not(tmp_path: Path) -> None:
-    rows = stored(cloud())
-    write_gaussian_ply(tmp_path / "world.ply", turned(rows), viewer_axes=False)
-    assert psnr(picture(activated(read_gaussian_ply(tmp_path / "world.ply", "viewer"))), picture(cloud())) > 80
-    assert psnr(picture(activated(read_gaussian_ply(tmp_path / "world.ply"))), picture(cloud())) < 30
+    rows = to_stored(cloud())
+    write_gaussian_ply(tmp_path / "world.ply", rotate_180_about_x(rows), viewer_axes=False)
+    assert psnr(render(activate(read_gaussian_ply(tmp_path / "world.ply", "viewer"))), render(cloud())) > 80
+    assert psnr(render(activate(read_gaussian_ply(tmp_path / "world.ply"))), render(cloud())) < 30
 
 
 def test_harmonics_change_signs_under_half_a_turn() -> None:
     directions = torch.nn.functional.normalize(torch.randn(50, 3, dtype=torch.float64), dim=1)
-    signs = torch.from_numpy(np.concatenate(([1.0], TURNED_SIGNS)))
+    signs = torch.from_numpy(np.concatenate(([1.0], SH_SIGNS_180_ABOUT_X)))
     torch.testing.assert_close(sh_basis(directions @ HALF_TURN.double(), 3), sh_basis(directions, 3) * signs)
 
 
 def test_only_the_degree_in_use_is_stored() -> None:
-    rows = stored(dataclasses.replace(cloud(), sh_degree=1))
-    assert rows.degree == 1 and rows.rest.shape[1] == 3
-    assert full_degree(rows).rest.shape[1] == 15 and not full_degree(rows).rest[:, 3:].any()
-    plain = stored(dataclasses.replace(cloud(), colors=torch.full((60, 3), 0.25)))
-    np.testing.assert_allclose(0.5 + SH_C0 * plain.constant, 0.25, atol=1e-6)
+    rows = to_stored(dataclasses.replace(cloud(), sh_degree=1))
+    assert rows.degree == 1 and rows.sh_rest.shape[1] == 3
+    assert full_degree(rows).sh_rest.shape[1] == 15 and not full_degree(rows).sh_rest[:, 3:].any()
+    plain = to_stored(dataclasses.replace(cloud(), colors=torch.full((60, 3), 0.25)))
+    np.testing.assert_allclose(0.5 + SH_C0 * plain.sh_dc, 0.25, atol=1e-6)
 
 
 def test_opacities_and_scales_at_their_ends_stay_finite() -> None:
     edge = Gaussians(torch.zeros(2, 3), torch.eye(2, 4), torch.zeros(2, 3), torch.tensor([0.0, 1.0]), torch.ones(2, 3))
-    rows = stored(edge)
+    rows = to_stored(edge)
     assert np.isfinite(rows.opacity_logits).all() and np.isfinite(rows.log_scales).all()
-    np.testing.assert_allclose(activated(rows).opacities, [0, 1], atol=2e-6)
+    np.testing.assert_allclose(activate(rows).opacities, [0, 1], atol=2e-6)
 
 
 def read_splat(path: Path) -> Gaussians:
-    """A decoder of its own: 32 bytes a record."""
+    """An independent decoder: 32 bytes per record."""
     raw = np.frombuffer(path.read_bytes(), np.uint8).reshape(-1, 32)
     floats = raw[:, :24].copy().view("<f4")
     return Gaussians(
@@ -121,7 +121,7 @@ def read_splat(path: Path) -> Gaussians:
 
 def test_splat_records(tmp_path: Path) -> None:
     gaussians = cloud(degree=0)
-    write_splat(tmp_path / "a.splat", stored(gaussians))
+    write_splat(tmp_path / "a.splat", to_stored(gaussians))
     assert (tmp_path / "a.splat").stat().st_size == 32 * 60
     found = read_splat(tmp_path / "a.splat")
     importance = found.scales.prod(1) * found.opacities
@@ -133,7 +133,7 @@ def test_splat_records(tmp_path: Path) -> None:
     assert float((found.colors - want).abs().max()) <= 0.5 / 255 + 1e-6
     half_turn = torch.tensor([0.0, 1.0, 0.0, 0.0])
     undone = dataclasses.replace(found, quats=turned_back(found.quats, half_turn))
-    assert psnr(picture(undone), picture(gaussians)) > 40
+    assert psnr(render(undone), render(gaussians)) > 40
 
 
 def turned_back(quats: torch.Tensor, half_turn: torch.Tensor) -> torch.Tensor:
@@ -143,7 +143,7 @@ def turned_back(quats: torch.Tensor, half_turn: torch.Tensor) -> torch.Tensor:
 
 
 def read_spz(path: Path) -> Gaussians:
-    """A decoder of its own for version 3, from the public description of the format."""
+    """An independent decoder of version 3, written from the public description of the format."""
     data = gzip.decompress(path.read_bytes())
     magic, version, count, degree, bits, flags, reserved = struct.unpack("<IIIBBBB", data[:16])
     assert (magic, version, flags, reserved) == (0x5053474E, 3, 0, 0)
@@ -173,7 +173,7 @@ def read_spz(path: Path) -> Gaussians:
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_spz_version_3(tmp_path: Path, degree: int) -> None:
     gaussians = cloud(degree=degree)
-    write_spz(tmp_path / "a.spz", stored(gaussians))
+    write_spz(tmp_path / "a.spz", to_stored(gaussians))
     found = read_spz(tmp_path / "a.spz")
     assert float((found.means - gaussians.means).abs().max()) <= 0.5 / 4096 + 1e-7
     assert float((found.scales.log() - gaussians.scales.log()).abs().max()) <= 0.5 / 16 + 1e-5
@@ -184,8 +184,8 @@ def test_spz_version_3(tmp_path: Path, degree: int) -> None:
         assert float((found.colors[:, 1:] - gaussians.colors[:, 1:]).abs().max()) <= bound
     turns = quaternion_to_matrix(found.quats) - quaternion_to_matrix(gaussians.quats)
     assert float(turns.abs().max()) < 6e-3
-    assert psnr(picture(found), picture(gaussians)) > 35
-    write_spz(tmp_path / "b.spz", stored(gaussians))
+    assert psnr(render(found), render(gaussians)) > 35
+    write_spz(tmp_path / "b.spz", to_stored(gaussians))
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
 
 
@@ -215,10 +215,10 @@ def test_an_independent_program_reads_what_we_write(
     tmp_path: Path, splat_transform: list[str], kind: str, degree: int, least: float
 ) -> None:
     gaussians = cloud(degree=degree)
-    WRITERS[kind](tmp_path / f"ours.{kind}", stored(gaussians))
+    WRITERS[kind](tmp_path / f"ours.{kind}", to_stored(gaussians))
     command = [*splat_transform, "-w", str(tmp_path / f"ours.{kind}"), str(tmp_path / "theirs.ply")]
     ran = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False, timeout=120)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     found = read_gaussian_ply(tmp_path / "theirs.ply", axes="viewer")
     assert len(found) == 60 and found.degree == degree
-    assert psnr(picture(activated(found)), picture(gaussians)) > least
+    assert psnr(render(activate(found)), render(gaussians)) > least

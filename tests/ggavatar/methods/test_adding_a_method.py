@@ -26,7 +26,7 @@ def method_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
     (name,) = re.findall(r"saved as `ggavatar/methods/(\w+)\.py`", PAGE.read_text())
     source = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[-1]
     (tmp_path / f"{name}.py").write_text(source)
-    monkeypatch.setattr(registry, "FOLDER", tmp_path)
+    monkeypatch.setattr(registry, "METHODS_FOLDER", tmp_path)
     monkeypatch.setattr(ggavatar.methods, "__path__", [str(tmp_path)])
     yield name
     sys.modules.pop(f"ggavatar.methods.{name}", None)

@@ -33,7 +33,7 @@ from ggavatar.methods.flash_avatar import (
 from ggavatar.optim.schedules import scaled
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint
-from ggavatar.training.progress import Silence
+from ggavatar.training.progress import NullListener
 from ggavatar.training.run_folder import RunConfig
 from ggavatar.training.session import configure, make_trainer
 from ggavatar.training.trainer import StopSignals
@@ -256,7 +256,7 @@ def test_state_brings_back_the_places(scene: Scene) -> None:
         assert torch.equal(getattr(saved.gaussians(drive), field), getattr(opened.gaussians(drive), field))
 
 
-class Brake(Silence):
+class Brake(NullListener):
     """A listener that asks to stop after a step, as a signal would."""
 
     def __init__(self, stop: StopSignals, last: int) -> None:

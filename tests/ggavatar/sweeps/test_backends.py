@@ -1,4 +1,4 @@
-"""Where sweeps run their jobs: what both backends promise, on programs that take milliseconds."""
+"""Backends of sweeps: what both promise, with programs that take milliseconds in place of trainings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -18,13 +18,12 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps.backends import (
     Backend,
-    Job,
+    CellTraining,
     LocalProcesses,
     Outcome,
     RayCluster,
-    command_job,
-    logged,
-    persistently,
+    run_logged,
+    run_with_retries,
 )
 
 FLAKY = (
@@ -36,11 +35,12 @@ FLAKY = (
 )
 
 
-def program(folder: Path, name: str, code: str, *arguments: object) -> Job:
-    return command_job(name, [sys.executable, "-c", code, *map(str, arguments)], folder / f"{name}.log")
+def program(folder: Path, name: str, code: str, *arguments: object) -> CellTraining:
+    command = (sys.executable, "-c", code, *map(str, arguments))
+    return CellTraining(name, functools.partial(run_logged, command, folder / f"{name}.log"))
 
 
-def four_jobs(folder: Path) -> list[Job]:
+def four_trainings(folder: Path) -> list[CellTraining]:
     """One that succeeds, one that fails for good, one that needs three attempts, one that kills itself."""
     return [
         program(folder, "fine", "print('hello')"),
@@ -58,17 +58,17 @@ EXPECTED = {
 }
 
 
-@pytest.mark.parametrize("at_once", [1, 3])
-def test_local_processes_keep_the_promises(tmp_path: Path, at_once: int) -> None:
-    backend = LocalProcesses(at_once, retries=2)
+@pytest.mark.parametrize("parallel", [1, 3])
+def test_local_processes_keep_the_promises(tmp_path: Path, parallel: int) -> None:
+    backend = LocalProcesses(parallel, retries=2)
     assert isinstance(backend, Backend)
-    assert {outcome.job: outcome for outcome in backend.run(four_jobs(tmp_path))} == EXPECTED
+    assert {outcome.cell: outcome for outcome in backend.run(four_trainings(tmp_path))} == EXPECTED
     assert (tmp_path / "flaky.log").read_text() == "attempt 1\nattempt 2\nattempt 3\n"
     assert (tmp_path / "count").read_text() == "xxx"
 
 
 def test_without_retries_nothing_is_started_twice(tmp_path: Path) -> None:
-    outcomes = {outcome.job: outcome for outcome in LocalProcesses().run(four_jobs(tmp_path))}
+    outcomes = {outcome.cell: outcome for outcome in LocalProcesses().run(four_trainings(tmp_path))}
     assert outcomes["flaky"] == Outcome("flaky", 1, 1) and (tmp_path / "count").read_text() == "x"
 
 
@@ -81,15 +81,15 @@ def test_a_program_gets_its_share_of_the_cores_unless_the_user_said_otherwise(
         if set_by_user is not None:
             monkeypatch.setenv(name, set_by_user)
     tell = "import os; print(os.environ.get('OMP_NUM_THREADS'), os.environ.get('NUMBA_NUM_THREADS'))"
-    assert logged([sys.executable, "-c", tell], tmp_path / "log", cores) == 0
+    assert run_logged([sys.executable, "-c", tell], tmp_path / "log", cores) == 0
     assert (tmp_path / "log").read_text() == f"{expected} {expected}\n"
 
 
 def test_cells_share_the_cores_of_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 8)
-    shares = [sweep.cores_of_a_cell(arguments(tmp_path, tmp_path, jobs=jobs)) for jobs in (1, 2, 3, 20)]
+    shares = [sweep.cores_per_cell(arguments(tmp_path, tmp_path, jobs=jobs)) for jobs in (1, 2, 3, 20)]
     assert shares == [None, 4, 2, 1]
-    assert sweep.cores_of_a_cell(arguments(tmp_path, tmp_path, backend="ray", cpus_per_job=2.5)) == 2
+    assert sweep.cores_per_cell(arguments(tmp_path, tmp_path, backend="ray", cpus_per_job=2.5)) == 2
 
 
 def _refuse() -> int:
@@ -100,9 +100,9 @@ def _deny() -> int:
     raise PermissionError("no")
 
 
-def test_a_job_that_cannot_start_is_a_failure_with_a_reason() -> None:
-    assert persistently(Job("a", _refuse), 5) == Outcome("a", 2, 1, "no such command")
-    assert persistently(Job("b", _deny), 1) == Outcome("b", 1, 2, "no")
+def test_a_training_that_cannot_start_is_a_failure_with_a_reason() -> None:
+    assert run_with_retries(CellTraining("a", _refuse), 5) == Outcome("a", 2, 1, "no such command")
+    assert run_with_retries(CellTraining("b", _deny), 1) == Outcome("b", 1, 2, "no")
 
 
 def test_ray_keeps_the_same_promises(tmp_path: Path) -> None:
@@ -117,9 +117,10 @@ def test_ray_keeps_the_same_promises(tmp_path: Path) -> None:
         "folder = pathlib.Path(sys.argv[1])\n"
         "import ray\n"
         "ray.init(num_cpus=2, num_gpus=1, include_dashboard=False, log_to_driver=False, logging_level='error')\n"
-        "found = {o.job: [o.code, o.attempts] for o in t.RayCluster(gpus=0.5, retries=2).run(t.four_jobs(folder))}\n"
+        "outcomes = t.RayCluster(gpus=0.5, retries=2).run(t.four_trainings(folder))\n"
+        "found = {o.cell: [o.code, o.attempts] for o in outcomes}\n"
         "try:\n"
-        "    list(t.RayCluster(gpus=8.0).run(t.four_jobs(folder)))\n"
+        "    list(t.RayCluster(gpus=8.0).run(t.four_trainings(folder)))\n"
         "except InputError as error:\n"
         "    found['refused'] = str(error)\n"
         "ray.shutdown()\n"
@@ -138,27 +139,27 @@ def test_ray_keeps_the_same_promises(tmp_path: Path) -> None:
 def test_missing_ray_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install ggavatar\[ray\]"):
-        list(RayCluster().run(four_jobs(tmp_path)))
+        list(RayCluster().run(four_trainings(tmp_path)))
 
 
 class Recorder:
-    """A backend that pretends: jobs named after seed 8 fail, the others leave a finished run."""
+    """A backend that trains nothing: cells named after seed 8 fail, the others leave a finished run."""
 
     def __init__(self, shared: bool = True) -> None:
-        self.jobs: list[Job] = []
+        self.trainings: list[CellTraining] = []
         self.shared = shared
 
-    def run(self, jobs: Sequence[Job]):  # type: ignore[no-untyped-def]
-        self.jobs += jobs
-        for job in jobs:
-            folder = Path(job.name)
+    def run(self, trainings: Sequence[CellTraining]) -> Iterator[Outcome]:
+        self.trainings += trainings
+        for training in trainings:
+            folder = Path(training.name)
             if folder.name == "seed-8":
-                yield Outcome(job.name, 1, 2, "machine lost")
+                yield Outcome(training.name, 1, 2, "machine lost")
                 continue
             if self.shared:
                 folder.mkdir(parents=True)
                 (folder / "provenance.json").write_text('{"finished": true}')
-            yield Outcome(job.name, 0)
+            yield Outcome(training.name, 0)
 
 
 def arguments(capture: Path, output: Path, **changes: object) -> sweep.Arguments:
@@ -169,36 +170,36 @@ def test_sweep_reports_cells_through_any_backend(
     toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     backend = Recorder()
-    monkeypatch.setattr(sweep, "backend_of", lambda _: backend)
+    monkeypatch.setattr(sweep, "make_backend", lambda _: backend)
     assert sweep.sweep(arguments(toy_capture.folder, tmp_path / "grid")) == 1
     shown = capsys.readouterr()
     assert "1 of 2 cells trained" in shown.out and "1 of 2: trained" in shown.out
     assert "failed with exit code 1 after 2 attempts" in shown.err and "machine lost" in shown.err
-    attempt = backend.jobs[0].attempt
-    assert isinstance(attempt, functools.partial) and attempt.func is sweep.train_cell
-    assert attempt.args[0].folder.is_absolute() and attempt.args[0].capture.is_absolute()
+    train = backend.trainings[0].train
+    assert isinstance(train, functools.partial) and train.func is sweep.train_cell
+    assert train.args[0].folder.is_absolute() and train.args[0].capture.is_absolute()
     assert sweep.sweep(arguments(toy_capture.folder, tmp_path / "grid")) == 1
-    assert len(backend.jobs) == 3, "what is finished is not trained again"
+    assert len(backend.trainings) == 3, "what is finished is not trained again"
 
 
 def test_results_must_be_on_a_shared_folder(
     toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sweep, "backend_of", lambda _: Recorder(shared=False))
+    monkeypatch.setattr(sweep, "make_backend", lambda _: Recorder(shared=False))
     assert sweep.sweep(arguments(toy_capture.folder, tmp_path / "grid")) == 1
-    assert "all machines share" in capsys.readouterr().err
+    assert "all machines must share" in capsys.readouterr().err
 
 
 def test_backends_are_chosen_and_their_flags_kept_apart(tmp_path: Path) -> None:
-    assert sweep.backend_of(arguments(tmp_path, tmp_path, jobs=3, retries=1)) == LocalProcesses(3, 1)
-    chosen = sweep.backend_of(arguments(tmp_path, tmp_path, backend="ray", gpus_per_job=0.5, retries=2))
+    assert sweep.make_backend(arguments(tmp_path, tmp_path, jobs=3, retries=1)) == LocalProcesses(3, 1)
+    chosen = sweep.make_backend(arguments(tmp_path, tmp_path, backend="ray", gpus_per_job=0.5, retries=2))
     assert chosen == RayCluster(0.5, 1.0, 2)
     for wrong in ({"gpus_per_job": 1.0}, {"backend": "ray", "jobs": 2}, {"retries": -1}, {"jobs": 0}):
         with pytest.raises(InputError):
-            sweep.backend_of(arguments(tmp_path, tmp_path, **wrong))
+            sweep.make_backend(arguments(tmp_path, tmp_path, **wrong))
 
 
 def test_a_log_that_exists_is_added_to(tmp_path: Path) -> None:
     for word in ("one", "two"):
-        assert logged([sys.executable, "-c", f"print({word!r})"], tmp_path / "new" / "x.log") == 0
+        assert run_logged([sys.executable, "-c", f"print({word!r})"], tmp_path / "new" / "x.log") == 0
     assert (tmp_path / "new" / "x.log").read_text() == "one\ntwo\n"

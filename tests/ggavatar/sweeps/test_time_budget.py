@@ -1,4 +1,4 @@
-"""Sweeps of equal wall time: what a pilot's journal says, and that a cell has one pilot and keeps its length."""
+"""Sweeps of equal wall time: the steps that a pilot finds to fit; a cell has one pilot and keeps its length."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ggavatar.cli import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps import cell as cells
-from ggavatar.sweeps.time_budget import PILOT_STEPS, Moment, seconds_per_step, steps_within
+from ggavatar.sweeps.time_budget import PILOT_STEPS, LoggedTime, seconds_per_step, steps_within
 
 STUB = """#!{python}
 import json, pathlib, sys
@@ -32,11 +32,11 @@ sys.exit({code} if not folder.name.endswith("-pilot") else {pilot_code})
 
 
 def stub(folder: Path, monkeypatch: pytest.MonkeyPatch, code: int = 0, pilot_code: int = 0) -> Path:
-    """A ggavatar-train that writes half a second a step behind half a minute of start-up; where it lists its calls."""
+    """A ggavatar-train that logs 0.5 s per step after 30 s of start-up; returns the list of its calls."""
     script = folder / "ggavatar-train"
     script.write_text(STUB.format(python=sys.executable, code=code, pilot_code=pilot_code))
     script.chmod(0o755)
-    monkeypatch.setattr(cells, "console_script", lambda name: str(folder / name))
+    monkeypatch.setattr(cells, "find_console_script", lambda name: str(folder / name))
     return folder / "calls"
 
 
@@ -50,15 +50,15 @@ def cell(folder: Path) -> cells.Cell:
 
 def test_start_up_is_left_out_and_slow_stages_count_in_proportion() -> None:
     """50 s of start-up; half the steps take 1 s and half 3 s."""
-    moments = [Moment(step, 50.0 + step + 2 * max(step - 50, 0)) for step in range(10, 101, 10)]
-    assert seconds_per_step(moments) == pytest.approx(2.0)
+    times = [LoggedTime(step, 50.0 + step + 2 * max(step - 50, 0)) for step in range(10, 101, 10)]
+    assert seconds_per_step(times) == pytest.approx(2.0)
     assert steps_within(5.0, 2.0) == 150 and steps_within(0.01, 2.0) == 1
 
 
-@pytest.mark.parametrize("moments", [[], [Moment(10, 1.0)], [Moment(10, 1.0), Moment(20, 1.0)]])
-def test_a_pilot_without_times_is_refused(moments: list[Moment]) -> None:
+@pytest.mark.parametrize("times", [[], [LoggedTime(10, 1.0)], [LoggedTime(10, 1.0), LoggedTime(20, 1.0)]])
+def test_a_pilot_without_times_is_refused(times: list[LoggedTime]) -> None:
     with pytest.raises(InputError, match="--steps"):
-        seconds_per_step(moments)
+        seconds_per_step(times)
 
 
 def test_pilot_sets_the_length_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Checkpoints survive torn files, full disks and changed row counts, and hold nothing executable."""
+"""Checkpoints survive truncated files and full disks, restore a training exactly, and hold nothing executable."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ def test_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch: pytest.Monke
     assert complete_steps(tmp_path) == [1]
 
 
-def test_training_state_goes_on_bit_identically(tmp_path: Path) -> None:
-    """Against the same model trained without a break."""
+def test_training_state_resumes_bit_identically(tmp_path: Path) -> None:
+    """Compared with the same model trained without interruption."""
 
     def make() -> tuple[torch.nn.Module, list[torch.optim.Optimizer]]:
         torch.manual_seed(0)
@@ -123,11 +123,11 @@ def test_training_state_goes_on_bit_identically(tmp_path: Path) -> None:
 
 
 def test_checkpoint_of_another_method_is_refused() -> None:
-    with pytest.raises(InputError, match="does not fit"):
+    with pytest.raises(InputError, match="does not match"):
         unpack_avatar(torch.nn.Linear(2, 2), {"avatar.other": torch.zeros(1)})
-    with pytest.raises(InputError, match="optimisers"):
+    with pytest.raises(InputError, match="optimizers"):
         unpack_optimizers([], {}, [{}])
 
 
 def test_kept_count_is_at_least_two() -> None:
-    assert checkpoint.KEPT >= 2
+    assert checkpoint.KEPT_CHECKPOINTS >= 2

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
-from ggavatar.training.plan import Training, preset
-from ggavatar.training.trainer import step_at
+from ggavatar.training.plan import TrainingPlan, preset
+from ggavatar.training.trainer import step_with_rate_factor
 
 
 def test_position_rate_reaches_a_hundredth_at_half() -> None:
@@ -25,13 +25,13 @@ def test_constants_scale_with_the_length() -> None:
 
 
 def test_coarse_to_fine_in_thirds() -> None:
-    plan = Training(steps=100, resolutions=((0.25, 0.25), (0.25, 0.5)), smallest=64)
+    plan = TrainingPlan(steps=100, resolutions=((0.25, 0.25), (0.25, 0.5)), smallest=64)
     sizes = [plan.size_at(step, 512, 256) for step in (1, 25, 26, 50, 51, 100)]
     assert sizes == [(128, 64)] * 2 + [(256, 128)] * 2 + [(512, 256)] * 2
 
 
 def test_small_frames_are_not_shrunk_below_the_limit() -> None:
-    plan = Training(steps=100, resolutions=((0.5, 0.25),), smallest=128)
+    plan = TrainingPlan(steps=100, resolutions=((0.5, 0.25),), smallest=128)
     assert plan.size_at(1, 160, 160) == (128, 128)
     assert plan.size_at(1, 48, 48) == (48, 48)
 
@@ -39,22 +39,22 @@ def test_small_frames_are_not_shrunk_below_the_limit() -> None:
 def test_paper_preset_is_as_printed() -> None:
     plan = preset("paper", "cpu")
     assert (plan.steps, plan.resolutions) == (120_000, ())
-    assert plan.rate_at(1) == plan.rate_at(120_000) == 1
+    assert plan.rate_factor(1) == plan.rate_factor(120_000) == 1
 
 
 def test_rates_cool_down_by_half_a_cosine() -> None:
-    plan = Training(steps=1_000, cooling=0.4, coolest=0.02)
-    assert plan.rate_at(1) == plan.rate_at(600) == 1
-    assert plan.rate_at(800) == pytest.approx(0.51)
-    assert plan.rate_at(1_000) == pytest.approx(0.02)
-    factors = [plan.rate_at(step) for step in range(1, 1_001)]
+    plan = TrainingPlan(steps=1_000, cooling=0.4, coolest=0.02)
+    assert plan.rate_factor(1) == plan.rate_factor(600) == 1
+    assert plan.rate_factor(800) == pytest.approx(0.51)
+    assert plan.rate_factor(1_000) == pytest.approx(0.02)
+    factors = [plan.rate_factor(step) for step in range(1, 1_001)]
     assert factors == sorted(factors, reverse=True)
 
 
 @given(steps=st.integers(1, 400), cooling=st.floats(0, 1), coolest=st.floats(0, 1))
 def test_factors_on_rates_stay_between_the_coolest_and_one(steps: int, cooling: float, coolest: float) -> None:
-    plan = Training(steps=steps, cooling=cooling, coolest=coolest)
-    assert all(coolest - 1e-9 <= plan.rate_at(step) <= 1 + 1e-9 for step in range(1, steps + 1))
+    plan = TrainingPlan(steps=steps, cooling=cooling, coolest=coolest)
+    assert all(coolest - 1e-9 <= plan.rate_factor(step) <= 1 + 1e-9 for step in range(1, steps + 1))
 
 
 def test_generators_depend_on_seed_and_stream_alone() -> None:
@@ -70,6 +70,6 @@ def test_a_step_at_a_factor_leaves_the_rate_alone() -> None:
     weight = torch.nn.Parameter(torch.tensor([1.0]))
     optimizer = torch.optim.SGD([weight], lr=0.5)
     weight.grad = torch.tensor([1.0])
-    step_at(optimizer, 0.1)
+    step_with_rate_factor(optimizer, 0.1)
     assert weight.item() == pytest.approx(0.95)
     assert optimizer.param_groups[0]["lr"] == 0.5

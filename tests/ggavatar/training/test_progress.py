@@ -1,4 +1,4 @@
-"""What a training says: plain lines, a journal that survives a crash, and times that people can read."""
+"""Progress of a training: plain lines, a journal that survives a crash, readable durations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from ggavatar.training import progress
 from ggavatar.training.journal import Journal, read_journal
-from ggavatar.training.progress import Line, clock, peak_memory_mib
+from ggavatar.training.progress import ConsoleListener, format_duration, peak_memory_mib
 
 
 def test_journal_forgets_what_lies_beyond_the_checkpoint_and_torn_lines(tmp_path: Path) -> None:
@@ -34,7 +34,7 @@ def test_plain_lines_come_at_intervals_and_at_the_end(
 ) -> None:
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    line = Line(0, 100)
+    line = ConsoleListener(0, 100)
     for step in range(1, 101):
         now[0] += 1.0
         if step == 50:
@@ -47,8 +47,8 @@ def test_plain_lines_come_at_intervals_and_at_the_end(
     assert shown[-1].startswith("step 100/100") and "test 27.12 dB" in shown[-1] and "MiB" in shown[-1]
 
 
-def test_clock() -> None:
-    assert [clock(seconds) for seconds in (0.0, 59.6, 61.0, 3600.0, 7325.0)] == [
+def test_durations() -> None:
+    assert [format_duration(seconds) for seconds in (0.0, 59.6, 61.0, 3600.0, 7325.0)] == [
         "0:00",
         "1:00",
         "1:01",

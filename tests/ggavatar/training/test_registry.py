@@ -52,7 +52,7 @@ def test_a_new_file_is_a_new_method(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     import ggavatar.methods
 
     (tmp_path / "stranger_in_a_test.py").write_text(STRANGER)
-    monkeypatch.setattr(registry, "FOLDER", tmp_path)
+    monkeypatch.setattr(registry, "METHODS_FOLDER", tmp_path)
     monkeypatch.setattr(ggavatar.methods, "__path__", [str(tmp_path)])
     assert registry.names() == {
         "stranger_in_a_test": "A stranger that only exists in this test.",

@@ -43,8 +43,8 @@ def test_run_has_what_evaluation_needs(finished: Path) -> None:
     assert [frame.drive.frame for frame in frames] == list(run.split.test)
     assert frames[0].image.shape == (48, 48, 3)
     with torch.no_grad():
-        drawn = run.rasterize(run.avatar.gaussians(frames[0].drive), frames[0].camera, run.background)
-    assert drawn.image.shape == frames[0].image.shape
+        rendering = run.rasterize(run.avatar.gaussians(frames[0].drive), frames[0].camera, run.background)
+    assert rendering.image.shape == frames[0].image.shape
 
 
 def test_earlier_checkpoint_can_be_opened(finished: Path) -> None:
@@ -99,7 +99,7 @@ def test_config_that_is_no_object_is_refused(copy: Path, text: str) -> None:
 def test_any_folder_is_not_a_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected a run folder"):
         read_config(tmp_path)
-    with pytest.raises(InputError, match="nothing there"):
+    with pytest.raises(InputError, match="no such folder"):
         read_config(tmp_path / "absent")
     (tmp_path / "capture.json").write_text("{}")
     with pytest.raises(InputError, match="train on it first"):

@@ -1,4 +1,4 @@
-"""Training on a toy: it learns, repeats itself bit by bit, and goes on bit by bit after any interruption."""
+"""Training on a toy capture: it learns, is reproducible to the bit, and so is a run resumed after any interruption."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ggavatar.training import registry
 from ggavatar.training.checkpoint import complete_steps, load_checkpoint
 from ggavatar.training.journal import read_journal
 from ggavatar.training.run_folder import open_run, write_config
-from ggavatar.training.session import Interrupted, configure, make_trainer, train_run
+from ggavatar.training.session import TrainingInterrupted, configure, make_trainer, train_run
 from ggavatar.training.trainer import FiniteGuard, StopSignals, Trainer, TrainingError
 
 OPTIONS: dict[str, Any] = {"steps": 60, "eval_every": 0, "save_every": 25, "max_gaussians": 400, "device": "cpu"}
@@ -108,7 +108,7 @@ class StopAt:
 
 @pytest.mark.parametrize("steps", [(9,), (10, 20), (15, 31), (25, 26)])
 def test_resume_is_bit_identical(straight: Path, toy_capture: Capture, tmp_path: Path, steps: tuple[int, ...]) -> None:
-    """Broken off right before, at and after density rounds, a change of stage and a regular checkpoint."""
+    """Interrupted right before, at and after density rounds, a change of stage and a regular checkpoint."""
     folder = tmp_path / "broken"
     for step in (*steps, 1000):
         trainer, stop = start(toy_capture, folder), StopSignals()
@@ -119,7 +119,7 @@ def test_resume_is_bit_identical(straight: Path, toy_capture: Capture, tmp_path:
 
 
 def test_kill_loses_nothing_but_time(straight: Path, toy_capture: Capture, tmp_path: Path) -> None:
-    """kill -9 in the middle, with a torn checkpoint on top; resumed, the run equals the one without interruption."""
+    """kill -9 in the middle, with a damaged checkpoint beside; the resumed run equals the one without interruption."""
     folder = tmp_path / "killed"
     start(toy_capture, folder)
     code = (
@@ -154,7 +154,7 @@ def mean_psnr(avatar: Any, trainer: Trainer) -> float:
 
 @pytest.mark.parametrize("name", sorted(registry.names()))
 def test_every_method_learns_and_reopens(name: str, toy_capture: Capture, tmp_path: Path) -> None:
-    """Test PSNR rises by decibels; reopened, it draws the same to the last bit, also for a drive no frame had."""
+    """Test PSNR rises by decibels; the reopened avatar is bit-identical, also for a drive that no frame has."""
     settings = [text for text in SETTINGS if text.split("=")[0] in registry.load(name).config().__dataclass_fields__]
     trainer = start(toy_capture, tmp_path / "run", method=name, set=settings)
     before = mean_psnr(trainer.avatar.eval(), trainer)
@@ -181,8 +181,8 @@ def test_signal_saves_and_says_so(toy_capture: Capture, tmp_path: Path, monkeypa
             if step == 7:
                 os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(session, "Silence", lambda: Bomb(StopSignals(), 7))
-    with pytest.raises(Interrupted) as stopped:
+    monkeypatch.setattr(session, "NullListener", lambda: Bomb(StopSignals(), 7))
+    with pytest.raises(TrainingInterrupted) as stopped:
         train_run(toy_capture.folder, tmp_path / "run", OPTIONS, quiet=True)
     assert stopped.value.step == 7 and stopped.value.signal == signal.SIGINT
     assert complete_steps(tmp_path / "run" / "checkpoints") == [7]
@@ -204,8 +204,8 @@ def test_bad_step_changes_nothing(toy_capture: Capture, tmp_path: Path, monkeypa
     trainer = start(toy_capture, tmp_path / "run", steps=3)
     losses_of = trainer.avatar.losses
 
-    def poisoned(frame: Any, drawn: Any, step: int) -> dict[str, torch.Tensor]:
-        terms = dict(losses_of(frame, drawn, step))
+    def poisoned(frame: Any, rendering: Any, step: int) -> dict[str, torch.Tensor]:
+        terms = dict(losses_of(frame, rendering, step))
         return {**terms, "l1": terms["l1"] * float("nan")} if step == 2 else terms
 
     monkeypatch.setattr(trainer.avatar, "losses", poisoned)
@@ -216,10 +216,10 @@ def test_bad_step_changes_nothing(toy_capture: Capture, tmp_path: Path, monkeypa
 
 def test_existing_output_is_refused(straight: Path, toy_capture: Capture, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already holds a run"):
         train_run(toy_capture.folder, straight, OPTIONS, quiet=True)
     for overwrite in (False, True):
-        with pytest.raises(InputError, match="no run; choose another"):
+        with pytest.raises(InputError, match="found other files"):
             train_run(toy_capture.folder, tmp_path, {**OPTIONS, "overwrite": overwrite}, quiet=True)
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
@@ -246,7 +246,7 @@ def test_overwrite_spares_another_programs_configuration(toy_capture: Capture, t
 
 def test_resume_refuses_other_settings(straight: Path, toy_capture: Capture) -> None:
     for wish in ({"seed": 7}, {"steps": 99}, {"method": "ggavatar_without_lbs"}, {"set": ["latent=3"]}):
-        with pytest.raises(InputError, match="--resume goes on with"):
+        with pytest.raises(InputError, match="--resume continues with"):
             train_run(toy_capture.folder, straight, {"resume": True, **wish}, quiet=True)
 
 

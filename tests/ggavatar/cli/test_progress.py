@@ -1,0 +1,113 @@
+"""Progress of commands: a bar on a terminal, a few plain lines elsewhere, nothing when quiet."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from ggavatar.cli import progress
+from ggavatar.cli.progress import show_progress, stop_progress
+from ggavatar.cli.run import run_command
+from ggavatar.errors import InputError
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Seconds as the module sees them."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """What would be on the terminal; called by a test, since pytest puts its own stderr back after the fixtures."""
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    for name in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    return stream
+
+
+def test_plain_lines_come_every_ten_seconds_and_at_the_end(
+    clock: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = show_progress("rendering")
+    for done in range(1, 101):
+        clock[0] += 0.25
+        report(done, 100)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.splitlines() == [
+        "rendering 40/100 · 4.0 it/s · ETA 0:15",
+        "rendering 80/100 · 4.0 it/s · ETA 0:05",
+        "rendering 100/100 in 0:25",
+    ]
+
+
+def test_work_done_before_does_not_count_as_speed(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    report = show_progress("rendering")
+    report(1001, 1101)
+    clock[0] += 10
+    report(1050, 1101)
+    assert capsys.readouterr().err == "rendering 1050/1101 · 5.0 it/s · ETA 0:10\n"
+
+
+def test_short_work_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    report = show_progress("scoring")
+    for done in (1, 2, 3):
+        report(done, 3)
+    assert capsys.readouterr().err == "scoring 3/3 in 0:00\n"
+
+
+def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    show_progress("scoring", quiet=True)(3, 3)
+    assert terminal.getvalue() == ""
+
+
+def test_a_bar_is_shown_on_a_terminal_and_leaves_stdout_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal = on_terminal(monkeypatch)
+    before = sys.stdout
+    report = show_progress("rendering")
+    report(1, 2)
+    assert sys.stdout is before
+    sys.stdout.write("result\n")
+    report(2, 2)
+    assert "rendering" in terminal.getvalue() and "2/2" in terminal.getvalue()
+    assert terminal.getvalue().rstrip().endswith("\x1b[?25h"), "the cursor is visible again"
+    assert capsys.readouterr().out == "result\n"
+
+
+def test_a_bar_ends_before_the_next_one_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    first, second = show_progress("rendering"), show_progress("scoring")
+    first(1, 2)
+    second(1, 1)
+    assert terminal.getvalue().index("1/2") < terminal.getvalue().index("1/1")
+    assert progress._running_bar is None
+
+
+def test_a_command_that_fails_removes_its_bar_before_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+
+    def body() -> int:
+        show_progress("rendering")(1, 2)
+        raise InputError("no such frame")
+
+    assert run_command(body) == 2
+    text = terminal.getvalue()
+    assert text.index("\x1b[?25h") < text.index("error: no such frame")
+    stop_progress()
+    assert terminal.getvalue() == text, "stopping twice changes nothing"
