@@ -26,10 +26,10 @@ from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.video.crop import Crop
 
 FLASH_AVATAR_SIDE = 512
-FLASH_AVATAR_TEST = 500
+FLASH_AVATAR_TEST_FRAMES = 500
 
 
-def record_of(capture: Capture) -> TrackingRecord:
+def to_tracking_record(capture: Capture) -> TrackingRecord:
     """A capture's tracking as a record: five FLAME joints, frames numbered from 0 without gaps."""
     tracking = capture.tracking
     if tracking.joint_rotations.shape[1] < FLAME_JOINTS:
@@ -57,8 +57,8 @@ def record_of(capture: Capture) -> TrackingRecord:
     )
 
 
-def centred(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
-    """The record for images re-cropped so that the principal point is their centre, and that crop (same size, padded).
+def center_principal_point(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
+    """The record for images re-cropped so that the principal point is their center, and that crop (same size, padded).
 
     GaussianAvatars and FlashAvatar ignore the principal point; one for the whole clip is used, rounded to whole px.
     """
@@ -68,7 +68,7 @@ def centred(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
     return dataclasses.replace(record, intrinsics=crop.intrinsics(record.intrinsics)), crop
 
 
-def posed_by_camera(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
+def with_pose_in_camera(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
     """The record with the head's root rotation and translation moved into the camera, as metrical-tracker has it.
 
     FLAME's root turns about joint 0 of the shaped head, not about the origin.
@@ -99,12 +99,12 @@ def _root_joints(record: TrackingRecord, head: HeadModel) -> Float[np.ndarray, "
     return weights @ head.template.numpy().astype(np.float64) + used @ basis[: used.shape[1]]
 
 
-def posed_by_flame(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
+def with_pose_in_flame(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
     """The record with a still camera 1 m in front of the head and all motion in FLAME's root.
 
     As VHAP has it (inverse of the above).
     """
-    folded = posed_by_camera(record, head)
+    folded = with_pose_in_camera(record, head)
     still = np.diag([1.0, -1.0, -1.0, 1.0])
     still[2, 3] = 1.0
     turns = still[:3, :3].T @ folded.world_to_camera[:, :3, :3]
@@ -118,14 +118,14 @@ def posed_by_flame(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
 
 
 def export_gaussian_avatars(capture: Capture, folder: Path) -> Mapping[str, object]:
-    """Write a folder GaussianAvatars trains on: VHAP's files, images on white and masks, the principal point centred.
+    """Write a folder GaussianAvatars trains on: VHAP's files, images on white and masks, the principal point center_principal_point.
 
     Returns:
         What could not be represented, under "notes".
     """
     _require_new(folder)
-    record, crop = centred(record_of(capture))
-    record = posed_by_flame(record, load_head(capture.head_path))
+    record, crop = center_principal_point(to_tracking_record(capture))
+    record = with_pose_in_flame(record, load_head(capture.head_path))
     vhap.write(folder, record)
     for row, number in enumerate(capture.frames):
         mask = crop.image(capture.mask(number))
@@ -151,12 +151,12 @@ def export_flash_avatar(capture: Capture, folder: Path) -> Mapping[str, object]:
             f"{capture.folder}: FlashAvatar needs 512 × 512 px images, this capture has "
             f"{capture.width}×{capture.height}"
         )
-    if len(capture.frames) <= FLASH_AVATAR_TEST:
+    if len(capture.frames) <= FLASH_AVATAR_TEST_FRAMES:
         raise InputError(
             f"{capture.folder}: FlashAvatar tests on the last 500 frames, this capture has {len(capture.frames)}"
         )
-    record, crop = centred(record_of(capture))
-    record = posed_by_camera(record, load_head(capture.head_path))
+    record, crop = center_principal_point(to_tracking_record(capture))
+    record = with_pose_in_camera(record, load_head(capture.head_path))
     metrical_tracker.write(folder / "checkpoint", record)
     for row, number in enumerate(capture.frames, start=1):
         write_jpeg(folder / "imgs" / f"{row:05d}.jpg", crop.image(capture.image(number)), quality=98)

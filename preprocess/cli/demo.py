@@ -1,4 +1,4 @@
-"""`ggavatar-demo`: a licence-free person as a user's data would be.
+"""`ggavatar-demo`: a license-free person as a user's data would be.
 
 A video, its mattes, a tracker's files and a head model.
 """
@@ -63,9 +63,9 @@ def _check(options: Options) -> None:
 def _write(options: Options) -> None:
     _check(options)
     from preprocess.synthetic.demo import Settings, write_demo
-    from preprocess.synthetic.output_folder import claim
+    from preprocess.synthetic.output_folder import prepare_demo_folder
 
-    claim(options.output_dir, overwrite=options.overwrite)
+    prepare_demo_folder(options.output_dir, overwrite=options.overwrite)
     values = asdict(options)
     folder = values.pop("output_dir")
     values.pop("overwrite")

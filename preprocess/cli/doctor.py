@@ -43,7 +43,7 @@ def _examine(options: DoctorOptions) -> int:
 
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
-    from preprocess.cli.terminal import spoken
+    from preprocess.cli.terminal import report_lines
     from preprocess.doctor.diagnosis import examine, write_report
     from preprocess.doctor.preview import write_preview
 
@@ -56,7 +56,7 @@ def _examine(options: DoctorOptions) -> int:
     if options.json:
         sys.stdout.write(json.dumps(diagnosis.json(), default=float) + "\n")
     else:
-        sys.stdout.write("".join(f"{line}\n" for line in spoken(diagnosis.json())))
+        sys.stdout.write("".join(f"{line}\n" for line in report_lines(diagnosis.json())))
     if options.strict and not diagnosis.healthy:
         raise GateError(f"{options.capture}: the doctor found a fault (--strict)")
     return 0

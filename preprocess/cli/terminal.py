@@ -42,7 +42,7 @@ class Terminal:
         """What was written, what was lost on the way, and the next command."""
         for warning in self._warnings:
             self._errors.print(f"warning: {warning}", markup=False)
-        lines = spoken(results["doctor"])
+        lines = report_lines(results["doctor"])
         for line in lines if not self._quiet else [line for line in lines if line.startswith("fault")]:
             self._errors.print(line, markup=False)
         if self._quiet:
@@ -73,7 +73,7 @@ class _StageLine:
         self._warnings.append(message)
 
 
-def spoken(report: Mapping[str, Any]) -> list[str]:
+def report_lines(report: Mapping[str, Any]) -> list[str]:
     """The doctor's report in lines of text."""
     measures = report["measures"]
     lines = [

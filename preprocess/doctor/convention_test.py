@@ -14,21 +14,21 @@ from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.doctor.conventions import AXES, OTHERS, Hypothesis
-from preprocess.doctor.frame_offset import find_offset, picture_change
+from preprocess.doctor.frame_offset import brightness_changes, find_offset
 from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
 
 SIDE = 128
 FRAMES = 12
-CONVINCING = 0.42
+MINIMUM_IOU = 0.42
 """A hypothesis that explains less (IoU) explains nothing: a huge head covers every person a little."""
 FRAMES_AT_HAND = 64
 """Half of how many images are kept in memory while hypotheses are compared."""
-NEARLY = 0.05
+IOU_TIE_MARGIN = 0.05
 """Silhouettes that differ by less (IoU) leave the decision to the picture under the mesh."""
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ConventionTest:
     """Posed vertices and small masks of some frames, against which hypotheses are weighed.
 
     Attributes:
@@ -72,32 +72,34 @@ def _overlap_above(drawn: np.ndarray, seen: np.ndarray) -> float:
     return overlap(drawn[:last], seen[:last])
 
 
-def gather(capture: Capture, head: HeadModel) -> Evidence:
+def prepare_convention_test(capture: Capture, head: HeadModel) -> ConventionTest:
     """Sample frames over the whole clip."""
     rows = sorted({round(place) for place in np.linspace(0, len(capture.frames) - 1, min(FRAMES, len(capture.frames)))})
     scale = SIDE / max(capture.width, capture.height)
     small = (max(1, round(capture.width * scale)), max(1, round(capture.height * scale)))
     masks = [cv2.resize(capture.mask(capture.frames[row]), small, interpolation=cv2.INTER_AREA) > 127 for row in rows]
     vertices = [posed_vertices(head, capture.tracking, row) for row in rows]
-    return Evidence(
+    return ConventionTest(
         tuple(rows), tuple(vertices), tuple(masks), head.faces.numpy(), scale, (capture.width, capture.height)
     )
 
 
-def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[str, float]) -> Hypothesis | None:
+def photometric_alternative(
+    test: ConventionTest, capture: Capture, head: HeadModel, scores: dict[str, float]
+) -> Hypothesis | None:
     """A hypothesis under which the picture moves with the mesh much better, while its silhouettes are nearly as good.
 
     Silhouettes cannot tell a head that turns left from one that turns right as well as the face can.
     """
     frames, now = capture.frames, capture.tracking
     image = lru_cache(maxsize=2 * FRAMES_AT_HAND)(capture.image)
-    own = picture_change(head, now, frames, image)
+    own = brightness_changes(head, now, frames, image)
     found: tuple[float, Hypothesis] | None = None
     for hypothesis in (*AXES[1:], *OTHERS):
         corrected = hypothesis.correct(now, capture.width, capture.height)
-        if scores[hypothesis.name] < scores["as-is"] - NEARLY or _same_cameras(now, corrected):
+        if scores[hypothesis.name] < scores["as-is"] - IOU_TIE_MARGIN or _same_cameras(now, corrected):
             continue
-        lead = own - picture_change(head, corrected, frames, image)
+        lead = own - brightness_changes(head, corrected, frames, image)
         lead = lead[np.isfinite(lead)]
         if len(lead) < 4 or lead.mean() < max(0.15 * np.nanmean(own), 3 * lead.std() / np.sqrt(len(lead))):
             continue
@@ -106,8 +108,8 @@ def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[s
     return found[1] if found else None
 
 
-def rather_late(capture: Capture, head: HeadModel, hypothesis: Hypothesis) -> bool:
-    """Whether frames paired with a neighbour's pose explain the picture under the mesh better than a hypothesis does.
+def explained_by_frame_offset(capture: Capture, head: HeadModel, hypothesis: Hypothesis) -> bool:
+    """Whether frames paired with a neighbor's pose explain the picture under the mesh better than a hypothesis does.
 
     Silhouettes that a late head leaves behind may fit a turned one a little better by chance.
     """
@@ -116,7 +118,7 @@ def rather_late(capture: Capture, head: HeadModel, hypothesis: Hypothesis) -> bo
     if np.allclose(now.world_to_camera, corrected.world_to_camera, atol=1e-6):
         return False
     shifted = find_offset(head, now, frames, frames, capture.image).scores
-    change = float(np.nanmean(picture_change(head, corrected, frames, capture.image)))
+    change = float(np.nanmean(brightness_changes(head, corrected, frames, capture.image)))
     return bool(shifted) and min(shifted.values()) < change
 
 
@@ -139,15 +141,15 @@ class Ranking:
     best: Hypothesis | None
 
 
-def rank(evidence: Evidence, tracking: Tracking, hypotheses: Sequence[Hypothesis]) -> Ranking:
+def rank_hypotheses(test: ConventionTest, tracking: Tracking, hypotheses: Sequence[Hypothesis]) -> Ranking:
     """Weigh hypotheses; the first is the tracking as it is.
 
     Clear means by 0.01 and three standard errors over the frames.
     """
-    overlaps = [evidence.overlaps(tracking, hypothesis) for hypothesis in hypotheses]
+    overlaps = [test.overlaps(tracking, hypothesis) for hypothesis in hypotheses]
     order = sorted(range(len(hypotheses)), key=lambda index: -overlaps[index].mean())
     scores = tuple((hypotheses[index].name, float(overlaps[index].mean())) for index in order)
     lead = overlaps[order[0]] - overlaps[0]
     error = lead.std() / np.sqrt(max(len(lead), 1))
-    clear = order[0] != 0 and lead.mean() > max(0.01, 3 * error) and overlaps[order[0]].mean() > CONVINCING
+    clear = order[0] != 0 and lead.mean() > max(0.01, 3 * error) and overlaps[order[0]].mean() > MINIMUM_IOU
     return Ranking(scores, hypotheses[order[0]] if clear else None)

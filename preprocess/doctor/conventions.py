@@ -24,12 +24,12 @@ class Hypothesis:
 
     Attributes:
         name: Value of `--fix`.
-        words: The mistake, as a sentence about the tracking.
+        description: The mistake, as a sentence about the tracking.
         correct: Undoes it.
     """
 
     name: str
-    words: str
+    description: str
     correct: Correction
 
 
@@ -73,7 +73,7 @@ def _transposed(tracking: Tracking, width: int, height: int) -> Tracking:
     return dataclasses.replace(tracking, world_to_camera=poses)
 
 
-def _centred(tracking: Tracking, width: int, height: int) -> Tracking:
+def _centered(tracking: Tracking, width: int, height: int) -> Tracking:
     intrinsics = tracking.intrinsics.copy()
     intrinsics[:, 0, 2], intrinsics[:, 1, 2] = width / 2, height / 2
     return dataclasses.replace(tracking, intrinsics=intrinsics)
@@ -115,8 +115,8 @@ OTHERS = (
     Hypothesis("transposed", "its rotations are transposed (columns where rows are meant)", _transposed),
     Hypothesis("distance/4", "its lengths are four times too large, as in the IMavatar family (×4)", _distance(0.25)),
     Hypothesis("distance*4", "its lengths are four times too small", _distance(4.0)),
-    Hypothesis("distance/1000", "its lengths are millimetres", _distance(1e-3)),
-    Hypothesis("centre", "its principal point was not scaled or moved with the images", _centred),
+    Hypothesis("distance/1000", "its lengths are millimeters", _distance(1e-3)),
+    Hypothesis("centre", "its principal point was not scaled or moved with the images", _centered),
     Hypothesis("swapped-size", "its image size is (height, width) taken for (width, height)", _size_swapped),
 )
 

@@ -14,16 +14,24 @@ from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
 from preprocess.doctor import quality
-from preprocess.doctor.convention_test import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
+from preprocess.doctor.convention_test import (
+    IOU_TIE_MARGIN,
+    ConventionTest,
+    Ranking,
+    explained_by_frame_offset,
+    photometric_alternative,
+    prepare_convention_test,
+    rank_hypotheses,
+)
 from preprocess.doctor.conventions import AXES, EYES, OTHERS
 from preprocess.doctor.frame_offset import find_offset
-from preprocess.doctor.letterbox import black_bars, cut_off
+from preprocess.doctor.letterbox import black_bars, crop_flags
 from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
-LOW_OVERLAP = 0.5
+EXPECTED_IOU = 0.5
 JITTER_PIXELS, JITTER_DEGREES = 1.5, 0.6
-DIVERGING = 0.6
+MAX_EYE_DIVERGENCE = 0.6
 """Eyes that point apart by this much on average, degrees, are most likely swapped."""
 
 
@@ -77,22 +85,22 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
 def _examined(capture: Capture, head: HeadModel) -> Diagnosis:
     findings: list[Finding] = []
     measures: dict[str, Any] = {}
-    evidence = gather(capture, head)
-    axes = rank(evidence, capture.tracking, AXES)
-    others = rank(evidence, capture.tracking, (AXES[0], *OTHERS))
+    test = prepare_convention_test(capture, head)
+    axes = rank_hypotheses(test, capture.tracking, AXES)
+    others = rank_hypotheses(test, capture.tracking, (AXES[0], *OTHERS))
     measures["hypotheses"] = [list(item) for item in axes.scores]
     measures["other_hypotheses"] = [list(item) for item in others.scores]
     own = dict(axes.scores)["as-is"]
     measures["silhouette_iou"] = own
     scores = dict(axes.scores) | dict(others.scores)
-    named = _convention(capture, head, (axes, others)) or _turning(capture, head, evidence, scores)
+    named = _convention(capture, head, (axes, others)) or _photometric_convention(capture, head, test, scores)
     findings += named or _overlap(own)
     measures["lens"] = quality.lens(capture)
     findings += _lens(measures["lens"], capture, bool(named))
     findings += _offset(capture, head, measures) if not named else []
     findings += _eyes(capture, measures)
-    findings += _steadiness(capture, measures)
-    findings += _pictures(capture, head, measures)
+    findings += _jitter(capture, measures)
+    findings += _image_quality(capture, head, measures)
     findings += _coverage(capture, measures)
     error = quality.landmark_error(capture, head)
     if error is not None:
@@ -109,28 +117,32 @@ def _convention(capture: Capture, head: HeadModel, rankings: Sequence[Ranking]) 
     chosen = max(candidates, key=lambda ranking: ranking.scores[0][1])
     assert chosen.best is not None
     before, after = dict(chosen.scores)["as-is"], chosen.scores[0][1]
-    if after - before < NEARLY and rather_late(capture, head, chosen.best):
+    if after - before < IOU_TIE_MARGIN and explained_by_frame_offset(capture, head, chosen.best):
         return []
-    message = f"{chosen.best.words}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
+    message = (
+        f"{chosen.best.description}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
+    )
     return [Finding(chosen.best.name, "fault", message, f"--resume --fix {chosen.best.name}")]
 
 
-def _turning(capture: Capture, head: HeadModel, evidence: Evidence, scores: dict[str, float]) -> list[Finding]:
+def _photometric_convention(
+    capture: Capture, head: HeadModel, test: ConventionTest, scores: dict[str, float]
+) -> list[Finding]:
     """A convention that only shows in how the face moves; our own tracker knows ours, and still heads tell little."""
     if capture.source.get("tracking", {}).get("tracker") == "built-in":
         return []
-    rival = rivals(evidence, capture, head, scores)
+    rival = photometric_alternative(test, capture, head, scores)
     if rival is None:
         return []
-    message = f"{rival.words}: undoing that makes the face move with the mesh"
+    message = f"{rival.description}: undoing that makes the face move with the mesh"
     return [Finding(rival.name, "fault", message, f"--resume --fix {rival.name}")]
 
 
 def _overlap(own: float) -> list[Finding]:
-    if own >= LOW_OVERLAP:
+    if own >= EXPECTED_IOU:
         return []
     message = (
-        f"the mesh covers the person badly (IoU {own:.2f}, expected {LOW_OVERLAP} and more) and "
+        f"the mesh covers the person badly (IoU {own:.2f}, expected {EXPECTED_IOU} and more) and "
         "no known convention explains it"
     )
     return [
@@ -163,7 +175,7 @@ def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[
     if off > 0.15 and not explained:
         where = f"x {lens['principal_x']:+.0%}, y {lens['principal_y']:+.0%} of the image"
         message = (
-            f"the principal point is far from the video's centre ({where}): it was not scaled or moved with the images"
+            f"the principal point is far from the video's center ({where}): it was not scaled or moved with the images"
         )
         findings.append(Finding("centre", "fault", message, "--resume --fix centre"))
     return findings
@@ -185,16 +197,16 @@ def _offset(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list
 
 def _eyes(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     measures["eye_divergence_degrees"] = quality.eye_divergence(capture.tracking)
-    if measures["eye_divergence_degrees"] < DIVERGING:
+    if measures["eye_divergence_degrees"] < MAX_EYE_DIVERGENCE:
         return []
     message = (
-        f"{EYES.words}: they point apart by {measures['eye_divergence_degrees']:.1f}° on average, "
+        f"{EYES.description}: they point apart by {measures['eye_divergence_degrees']:.1f}° on average, "
         "which people's eyes do not do"
     )
     return [Finding(EYES.name, "fault", message, f"--resume --fix {EYES.name}")]
 
 
-def _steadiness(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
+def _jitter(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     measures["jitter"] = quality.jitter(capture.tracking)
     pixels, degrees = measures["jitter"]["pixels"], measures["jitter"]["degrees"]
     scale = max(capture.width, capture.height) / 512
@@ -204,8 +216,8 @@ def _steadiness(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     return [Finding("jitter", "warning", message + "; smooth it over time in the tracker")]
 
 
-def _pictures(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
-    measures |= quality.picture_quality(capture, head)
+def _image_quality(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
+    measures |= quality.image_quality(capture, head)
     findings, count = [], len(capture.frames)
     if len(measures["blurred"]) > 0.05 * count:
         message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a faster shutter"
@@ -227,7 +239,7 @@ def _bars(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     if not seen:
         return []
     message = f"black bars around the video count as person ({', '.join(seen)}); cut them off"
-    return [Finding("bars", "warning", message, cut_off(capture, bars))]
+    return [Finding("bars", "warning", message, crop_flags(capture, bars))]
 
 
 def _coverage(capture: Capture, measures: dict[str, Any]) -> list[Finding]:

@@ -30,12 +30,12 @@ STEP = 4
 VERTICES = 1500
 """About how many vertices of the face are looked at."""
 
-CLEAR_LEAD, CLEAR_ERRORS = 0.02, 2.5
+MIN_RELATIVE_LEAD, MIN_STANDARD_ERRORS = 0.02, 2.5
 """By how much (relative, and in standard errors) a pairing must beat the one that the numbers suggest."""
 
 
 @dataclass(frozen=True)
-class Pairing:
+class OffsetEstimate:
     """An offset and what speaks for it.
 
     Attributes:
@@ -63,7 +63,7 @@ def find_offset(
     numbers: Sequence[int],
     frames: Sequence[int],
     image: Callable[[int], UInt8[np.ndarray, "H W 3"]],
-) -> Pairing:
+) -> OffsetEstimate:
     """Compare offsets −2 … +2 around the suggested one.
 
     Args:
@@ -87,20 +87,20 @@ def find_offset(
     usable = [frame for frame in frames if all(frame - offset in row_of for offset in offsets)]
     pairs = _moving_pairs(usable, tracking, {frame: row_of[frame - suggested] for frame in usable})
     if len(pairs) < 4:
-        return Pairing(suggested, {}, suggested)
-    carried = _CarriedPicture(head, tracking, image, pairs)
+        return OffsetEstimate(suggested, {}, suggested)
+    carried = _VertexBrightness(head, tracking, image, pairs)
     changes = {
         offset: np.array(
             [carried.change(first, second, row_of[first - offset], row_of[second - offset]) for first, second in pairs]
         )
         for offset in offsets
     }
-    return Pairing(
+    return OffsetEstimate(
         _decide(changes, suggested), {offset: float(np.nanmean(found)) for offset, found in changes.items()}, suggested
     )
 
 
-def picture_change(
+def brightness_changes(
     head: HeadModel, tracking: Tracking, frames: Sequence[int], image: Callable[[int], UInt8[np.ndarray, "H W 3"]]
 ) -> Float[np.ndarray, " N"]:
     """Change of brightness under the mesh (8-bit steps) between moving pairs of a capture's frames.
@@ -109,7 +109,7 @@ def picture_change(
     """
     row_of = {frame: row for row, frame in enumerate(frames)}
     pairs = _moving_pairs(frames, tracking, row_of)[:: max(1, PAIRS // 40)]
-    carried = _CarriedPicture(head, tracking, image, pairs)
+    carried = _VertexBrightness(head, tracking, image, pairs)
     return np.array([carried.change(first, second, row_of[first], row_of[second]) for first, second in pairs])
 
 
@@ -121,7 +121,7 @@ def _decide(changes: dict[int, Float[np.ndarray, " N"]], suggested: int) -> int:
     if not len(lead) or best == suggested:
         return suggested
     error = float(lead.std() / np.sqrt(len(lead)))
-    clear = lead.mean() > max(CLEAR_LEAD * float(np.nanmean(changes[suggested])), CLEAR_ERRORS * error)
+    clear = lead.mean() > max(MIN_RELATIVE_LEAD * float(np.nanmean(changes[suggested])), MIN_STANDARD_ERRORS * error)
     return best if clear else suggested
 
 
@@ -141,7 +141,7 @@ def _moving_pairs(frames: Sequence[int], tracking: Tracking, row_of: dict[int, i
     return [pairs[index] for index in sorted(order.tolist())]
 
 
-class _CarriedPicture:
+class _VertexBrightness:
     """Brightness under the vertices of the face in pairs of frames, each picture read once."""
 
     def __init__(
@@ -157,7 +157,7 @@ class _CarriedPicture:
         self._vertices = front[:: max(1, len(front) // VERTICES)]
         self._projected: dict[int, np.ndarray] = {}
         frames = sorted({frame for pair in pairs for frame in pair})
-        self._pictures = dict(zip(frames, ordered_map(lambda frame: _smooth_grey(image(frame)), frames), strict=True))
+        self._pictures = dict(zip(frames, ordered_map(lambda frame: _smooth_gray(image(frame)), frames), strict=True))
 
     def change(self, first: int, second: int, first_row: int, second_row: int) -> float:
         """Mean absolute difference between two frames, each seen through a row of the tracking.
@@ -181,7 +181,7 @@ class _CarriedPicture:
         ).ravel()
 
 
-def _smooth_grey(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W"]:
+def _smooth_gray(image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W"]:
     """Brightness without detail finer than a tracker's error."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return cv2.GaussianBlur(grey, (0, 0), max(grey.shape) / 170)
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return cv2.GaussianBlur(gray, (0, 0), max(gray.shape) / 170)

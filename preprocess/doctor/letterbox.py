@@ -11,11 +11,11 @@ from ggavatar.data.capture import Capture
 from preprocess.tracking.geometry.rigid import spread_evenly
 
 FRAMES = 9
-DARK = 20
+MAX_BAR_BRIGHTNESS = 20
 """No pixel of a bar is ever brighter, in 8-bit steps; one of a hundred may be."""
-THIN = 0.008
+MIN_BAR_FRACTION = 0.008
 """Thinner borders, over the picture's side, are let pass."""
-COUNTED = 0.25
+MIN_PERSON_FRACTION = 0.25
 """Share of a bar that masks count as person, from which it is one to speak of."""
 
 
@@ -33,7 +33,7 @@ def black_bars(capture: Capture) -> Bars:
     numbers = [capture.frames[row] for row in spread_evenly(len(capture.frames), FRAMES)]
     brightest = np.max([capture.image(number).max(axis=2) for number in numbers], axis=0)
     counted = np.mean([capture.mask(number) > 127 for number in numbers], axis=0)
-    rows, columns = (np.percentile(brightest, 99, axis=axis) <= DARK for axis in (1, 0))
+    rows, columns = (np.percentile(brightest, 99, axis=axis) <= MAX_BAR_BRIGHTNESS for axis in (1, 0))
     return Bars(
         _thickness(columns, counted.T), _thickness(rows, counted),
         _thickness(columns[::-1], counted.T[::-1]), _thickness(rows[::-1], counted[::-1]),
@@ -43,11 +43,11 @@ def black_bars(capture: Capture) -> Bars:
 def _thickness(dark: Bool[np.ndarray, " N"], counted: np.ndarray) -> int:
     """How many lines are dark from the first on, if they are many and count as person; a dark picture has no bars."""
     thickness = int(np.argmin(dark)) if not dark.all() else 0
-    known = thickness > THIN * len(dark) and counted[:thickness].mean() > COUNTED
+    known = thickness > MIN_BAR_FRACTION * len(dark) and counted[:thickness].mean() > MIN_PERSON_FRACTION
     return thickness if known else 0
 
 
-def cut_off(capture: Capture, bars: Bars) -> str:
+def crop_flags(capture: Capture, bars: Bars) -> str:
     """The flags that crop the source to the largest square in the middle of what its bars leave."""
     crop = capture.source.get("crop")
     if not isinstance(crop, dict) or not all(isinstance(crop.get(key), int) for key in ("x", "y", "width", "height")):

@@ -32,10 +32,10 @@ def _column(capture: Capture, head: HeadModel, row: int) -> UInt8[np.ndarray, "h
     scale = SIDE / max(image.shape[:2])
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
     small, cut = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (image, cutout))
-    labelled = cv2.putText(
+    labeled = cv2.putText(
         small.copy(), str(number), (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 0), 1, cv2.LINE_AA
     )
-    return np.concatenate((labelled, cut, mesh_over(small, capture, head, row, scale)))
+    return np.concatenate((labeled, cut, mesh_over(small, capture, head, row, scale)))
 
 
 def mesh_over(
@@ -46,8 +46,8 @@ def mesh_over(
     vertices = posed_vertices(head, tracking, row)
     pixels, depth = project(vertices, tracking.intrinsics[row], tracking.world_to_camera[row])
     corners = np.round((pixels[faces] * scale - 0.5) * 16)
-    shades = _shades(vertices[faces])
-    facing = _turns(corners) < 0
+    shades = _face_colors(vertices[faces])
+    facing = _signed_areas(corners) < 0
     visible = facing & (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < 1 << 18).all(axis=(1, 2))
     painted, covered = image.copy(), np.zeros(image.shape[:2], np.uint8)
     for face in np.flatnonzero(visible)[np.argsort(-depth[faces[visible]].mean(axis=1))]:
@@ -58,14 +58,14 @@ def mesh_over(
     return np.round(painted * share + image * (1 - share)).astype(np.uint8)
 
 
-def _turns(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
+def _signed_areas(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
     """Twice the signed area of projected faces; negative where the outside is seen (y points down)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
-def _shades(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
-    """A colour for every face: light blue, darker where it is turned away from the light."""
+def _face_colors(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
+    """A color for every face: light blue, darker where it is turned away from the light."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT, 0, 1)

@@ -16,15 +16,15 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
-BLURRED = 0.3
+MIN_RELATIVE_SHARPNESS = 0.3
 """A frame is blurred if its sharpness falls below this part of the clip's median."""
 
-REPEATED = 0.15
-"""Two neighbouring frames are the same if they differ by less than this, in 8-bit steps."""
+MAX_REPEAT_DIFFERENCE = 0.15
+"""Two neighboring frames are the same if they differ by less than this, in 8-bit steps."""
 
 
 def lens(capture: Capture) -> dict[str, float]:
-    """Field of view in degrees and the principal point's distance from the source's centre.
+    """Field of view in degrees and the principal point's distance from the source's center.
 
     As part of its width and height.
     """
@@ -40,7 +40,7 @@ def lens(capture: Capture) -> dict[str, float]:
 
 
 def _source_center(capture: Capture, crop: dict[str, Any]) -> tuple[float, float]:
-    """The source's centre in px of the capture; the capture's own centre if the crop is not known."""
+    """The source's center in px of the capture; the capture's own center if the crop is not known."""
     keys = ("x", "y", "width", "height")
     known = all(isinstance(crop.get(key), int) for key in keys) and crop["width"] > 0 and crop["height"] > 0
     size = [capture.source.get(key) for key in ("width", "height")]
@@ -51,8 +51,8 @@ def _source_center(capture: Capture, crop: dict[str, Any]) -> tuple[float, float
     return x, y
 
 
-def head_center(tracking: Tracking) -> Float[np.ndarray, "T 3"]:
-    """The head's position in camera metres."""
+def head_positions(tracking: Tracking) -> Float[np.ndarray, "T 3"]:
+    """The head's position in camera meters."""
     rotations, offsets = tracking.world_to_camera[:, :3, :3], tracking.world_to_camera[:, :3, 3]
     return np.einsum("tij,tj->ti", rotations, tracking.translation) + offsets
 
@@ -62,7 +62,7 @@ def jitter(tracking: Tracking) -> dict[str, float]:
 
     0 for any steady motion.
     """
-    centers = head_center(tracking)
+    centers = head_positions(tracking)
     image = np.einsum("tij,tj->ti", tracking.intrinsics, centers)
     pixels = image[:, :2] / np.where(np.abs(image[:, 2:]) > 1e-6, image[:, 2:], 1e-6)
     if len(pixels) < 3:
@@ -98,30 +98,34 @@ def coverage(tracking: Tracking) -> dict[str, Any]:
     }
 
 
-def picture_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
+def image_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
     """Blurred and repeated frames; sharpness is measured within the masked person."""
     sharpness, repeated, before = [], [], None
-    looked = ordered_map(lambda number: _look(capture, number), capture.frames)
-    for number, (grey, detail) in zip(capture.frames, looked, strict=True):
+    looked = ordered_map(lambda number: _gray_and_sharpness(capture, number), capture.frames)
+    for number, (gray, detail) in zip(capture.frames, looked, strict=True):
         sharpness.append(detail)
-        if before is not None and float(cv2.absdiff(grey, before).mean()) < REPEATED:
+        if before is not None and float(cv2.absdiff(gray, before).mean()) < MAX_REPEAT_DIFFERENCE:
             repeated.append(number)
-        before = grey
+        before = gray
     typical = float(np.median(sharpness))
-    blurred = [number for number, value in zip(capture.frames, sharpness, strict=True) if value < BLURRED * typical]
+    blurred = [
+        number
+        for number, value in zip(capture.frames, sharpness, strict=True)
+        if value < MIN_RELATIVE_SHARPNESS * typical
+    ]
     return {"sharpness": typical, "blurred": blurred, "repeated": repeated}
 
 
-def _look(capture: Capture, number: int) -> tuple[UInt8[np.ndarray, "H W"], float]:
-    """One image in grey and how sharp it is within the person."""
-    grey = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
+def _gray_and_sharpness(capture: Capture, number: int) -> tuple[UInt8[np.ndarray, "H W"], float]:
+    """One image in gray and how sharp it is within the person."""
+    gray = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
     mask = cv2.erode(capture.mask(number), np.ones((5, 5), np.uint8)) > 127
-    return grey, float(cv2.Laplacian(grey, cv2.CV_32F)[mask].std()) if mask.any() else 0.0
+    return gray, float(cv2.Laplacian(gray, cv2.CV_32F)[mask].std()) if mask.any() else 0.0
 
 
 def landmark_error(capture: Capture, head: HeadModel) -> float | None:
     """Median distance of projected landmarks to detected ones, px; None if the head does not say where they are."""
-    landmarks, place = capture.tracking.landmarks, landmark_places(head)
+    landmarks, place = capture.tracking.landmarks, landmark_embedding(head)
     if landmarks is None or place is None or landmarks.shape[1] < len(place[0]):
         return None
     (corners, weights), distances = place, []
@@ -135,7 +139,7 @@ def landmark_error(capture: Capture, head: HeadModel) -> float | None:
     return float(np.nanmedian(found)) if np.isfinite(found).any() else None
 
 
-def landmark_places(head: HeadModel) -> tuple[Int[np.ndarray, "L K"], Float[np.ndarray, "L K"]] | None:
+def landmark_embedding(head: HeadModel) -> tuple[Int[np.ndarray, "L K"], Float[np.ndarray, "L K"]] | None:
     """Vertices and weights of the head's landmarks (docs/capture-format.md); None if it has none."""
     rows = head.regions.get("landmarks")
     if rows is None or not len(rows):

@@ -23,7 +23,7 @@ class Importer(Protocol):
 
     TITLE: str
 
-    def recognises(self, folder: Path) -> bool:
+    def recognizes(self, folder: Path) -> bool:
         """Whether the folder or file looks like this format; cheap, never raises for foreign content."""
         ...
 
@@ -51,10 +51,10 @@ def importer(name: str) -> Importer:
 
 
 def detect_format(folder: Path) -> str:
-    """The format of a folder or file; `InputError` if none or several recognise it."""
+    """The format of a folder or file; `InputError` if none or several recognize it."""
     if not folder.exists():
         raise InputError(f"{folder}: no such file or folder; --tracking wants the output of another tracker")
-    found = [name for name in importer_names() if importer(name).recognises(folder)]
+    found = [name for name in importer_names() if importer(name).recognizes(folder)]
     if len(found) == 1:
         return found[0]
     formats = "; ".join(f"{name} ({importer(name).TITLE})" for name in importer_names())
@@ -66,7 +66,7 @@ def detect_format(folder: Path) -> str:
     raise InputError(f"{folder}: {what}")
 
 
-def read_foreign(options: PrepOptions) -> tuple[str, TrackingRecord]:
+def read_tracking_record(options: PrepOptions) -> tuple[str, TrackingRecord]:
     """Read the tracking that `--tracking` names; also gives the format's name, detected unless `--format` says it."""
     folder = options.tracking
     if folder is None:

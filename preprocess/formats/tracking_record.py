@@ -24,7 +24,7 @@ class TrackingRecord:
         width: Of the image that the intrinsics belong to, px.
         height: Of the same image, px.
         intrinsics: px.
-        world_to_camera: Rigid, metres, OpenCV axes.
+        world_to_camera: Rigid, meters, OpenCV axes.
         expression: FLAME's expression coefficients.
         joint_rotations: Axis-angle of root, neck, jaw, left eye, right eye, rad.
         eyelids: Closing of the lids (metrical-tracker, SMIRK), else zeros.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ggavatar.errors import InputError
-from preprocess.masks.cleanup import only_person
+from preprocess.masks.cleanup import keep_largest_component
 
 SIDE = 256
 BAND = 8
@@ -18,11 +18,11 @@ BAND = 8
 
 
 class GrabCutMatting:
-    """Colour models of person and background, carried from frame to frame."""
+    """Color models of person and background, carried from frame to frame."""
 
     name = "grabcut"
     warnings: tuple[str, ...] = (
-        "masks by GrabCut are a fallback: it loses grey clothes on grey walls and keeps furniture behind the person. "
+        "masks by GrabCut are a fallback: it loses gray clothes on gray walls and keeps furniture behind the person. "
         "Look at preview.jpg, or use --masks selfie or masks of your own",
     )
 
@@ -32,13 +32,13 @@ class GrabCutMatting:
         for image in images:
             small = cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
             start = _initial_labels(small) if labels is None else _labels_around(labels)
-            labels = _cut(small, start, iterations=3 if labels is None else 1)
+            labels = _run_grabcut(small, start, iterations=3 if labels is None else 1)
             soft = cv2.GaussianBlur(labels.astype(np.float32), (0, 0), 1.0)
             mask = cv2.resize(soft, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
-            yield only_person(np.round(np.clip(mask, 0, 1) * 255).astype(np.uint8))
+            yield keep_largest_component(np.round(np.clip(mask, 0, 1) * 255).astype(np.uint8))
 
 
-def _cut(
+def _run_grabcut(
     small: UInt8[np.ndarray, "h w 3"], labels: UInt8[np.ndarray, "h w"], iterations: int
 ) -> UInt8[np.ndarray, "h w"]:
     """1 for the person, 0 elsewhere. OpenCV's generator is seeded, so that a clip always gets the same masks."""

@@ -1,6 +1,6 @@
 """Soft foreground masks for a clip.
 
-A network's coverage, steadied over time, reduced to the person and given a crisp edge.
+A network's coverage, average_over_time over time, reduced to the person and given a crisp edge.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.masks.cleanup import only_person, to_mask
+from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
 from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
@@ -26,12 +26,12 @@ Measured against a chroma key in docs/experiments/2026-11-22-mask-quality-and-fr
 """
 
 STILL_DIFFERENCE = 0.03
-"""Difference between neighbouring frames, in [0, 1].
+"""Difference between neighboring frames, in [0, 1].
 
 Below which a pixel counts as still and its coverage is averaged over time.
 """
 
-_MEAN = np.full((1, 3), 1 / 3, np.float32)
+_CHANNEL_MEAN = np.full((1, 3), 1 / 3, np.float32)
 """Of three channels, as a matrix."""
 
 
@@ -72,12 +72,12 @@ def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
     if not path.is_file():
         raise InputError(f"--masks {wanted}: no such file or folder; expected one, or auto, selfie, grabcut")
     if path.suffix.lower() == ".onnx":
-        return PlainMatting(RvmOnnx(path), f"rvm ({path.name})")
-    return PlainMatting(RvmTorchScript(path), f"rvm ({path.name})")
+        return VideoMatting(RvmOnnx(path), f"rvm ({path.name})")
+    return VideoMatting(RvmTorchScript(path), f"rvm ({path.name})")
 
 
 @dataclass(frozen=True)
-class PlainMatting:
+class VideoMatting:
     """A video network's own alpha, taken as it is."""
 
     network: MaskNetwork
@@ -87,7 +87,7 @@ class PlainMatting:
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         """Alpha of each image, 8 bits."""
         for image in images:
-            yield to_mask(self.network.coverage(image), image.shape[1], image.shape[0])
+            yield coverage_to_mask(self.network.coverage(image), image.shape[1], image.shape[0])
 
 
 @dataclass(frozen=True)
@@ -104,29 +104,31 @@ class SelfieMatting:
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         """Masks with one image of look-ahead; threads finish some while the network sees others."""
-        return ordered_map(lambda three: _finished(*three), self._neighbours(images))
+        return ordered_map(lambda three: _final_mask(*three), self._with_neighbors(images))
 
-    def _neighbours(self, images: Iterable[np.ndarray]) -> Iterator[tuple[_Seen | None, _Seen, _Seen | None]]:
+    def _with_neighbors(
+        self, images: Iterable[np.ndarray]
+    ) -> Iterator[tuple[_Observation | None, _Observation, _Observation | None]]:
         """Every image as it is seen, between the one before and the one after."""
-        past: _Seen | None = None
-        now: _Seen | None = None
+        past: _Observation | None = None
+        now: _Observation | None = None
         for index, image in enumerate(images):
-            ahead = self._see(image, mirrored=index % 2 == 1)
+            ahead = self._observe(image, mirrored=index % 2 == 1)
             if now is not None:
                 yield past, now, ahead
             past, now = now, ahead
         if now is not None:
             yield past, now, None
 
-    def _see(self, image: np.ndarray, mirrored: bool) -> _Seen:
+    def _observe(self, image: np.ndarray, mirrored: bool) -> _Observation:
         coverage = self.network.coverage(cv2.flip(image, 1) if mirrored else image)
         coverage = cv2.flip(coverage, 1) if mirrored else coverage
         small = cv2.resize(image, coverage.shape[::-1], interpolation=cv2.INTER_AREA)
-        return _Seen(coverage, small.astype(np.float32) / 255, image.shape[1], image.shape[0])
+        return _Observation(coverage, small.astype(np.float32) / 255, image.shape[1], image.shape[0])
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Observation:
     """Coverage and look of one image at the network's resolution, and the image's size."""
 
     coverage: Float[np.ndarray, "h w"]
@@ -135,18 +137,18 @@ class _Seen:
     height: int
 
 
-def _finished(past: _Seen | None, now: _Seen, ahead: _Seen | None) -> UInt8[np.ndarray, "H W"]:
+def _final_mask(past: _Observation | None, now: _Observation, ahead: _Observation | None) -> UInt8[np.ndarray, "H W"]:
     """The mask of one image."""
-    steady = steadied(now, [other for other in (past, ahead) if other is not None])
+    steady = average_over_time(now, [other for other in (past, ahead) if other is not None])
     wide = cv2.resize(steady, (now.width, now.height), interpolation=cv2.INTER_LINEAR)
-    return only_person(to_mask((wide - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
+    return keep_largest_component(coverage_to_mask((wide - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
 
 
-def steadied(now: _Seen, others: list[_Seen]) -> Float[np.ndarray, "h w"]:
-    """Coverage averaged with the neighbouring images' where the picture stands still; where it moves, its own."""
+def average_over_time(now: _Observation, others: list[_Observation]) -> Float[np.ndarray, "h w"]:
+    """Coverage averaged with the neighboring images' where the picture stands still; where it moves, its own."""
     total, weight = now.coverage.copy(), np.ones_like(now.coverage)
     for other in others:
-        difference = cv2.blur(cv2.transform(cv2.absdiff(other.look, now.look), _MEAN), (3, 3))
+        difference = cv2.blur(cv2.transform(cv2.absdiff(other.look, now.look), _CHANNEL_MEAN), (3, 3))
         share = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
         total += share * other.coverage
         weight += share

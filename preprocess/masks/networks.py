@@ -76,7 +76,7 @@ class RvmTorchScript:
                 _, alpha, *self._state = self._module(source, *self._state, rvm_downsampling(*image.shape[:2]))
         except (RuntimeError, TypeError, ValueError) as error:
             raise InputError(
-                f"{self._path}: does not work like RVM (image, 4 states, ratio → colour, alpha, 4 states)"
+                f"{self._path}: does not work like RVM (image, 4 states, ratio → color, alpha, 4 states)"
             ) from error
         return alpha[0, 0].numpy()
 

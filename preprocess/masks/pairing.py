@@ -10,7 +10,7 @@ import numpy as np
 
 FRAMES = 32
 SIDE = 256
-CLEAR_LEAD = 0.02
+MIN_RELATIVE_LEAD = 0.02
 """By how much (relative) another offset must beat the one that numbers suggest."""
 
 
@@ -35,26 +35,26 @@ def find_mask_offset(
     offsets = sorted({0, 1, -1, min(files) - numbers[0]}, key=abs)
     counts = {offset: sum(number + offset in files for number in numbers) for offset in offsets}
     best = max(offsets, key=lambda offset: counts[offset])
-    rivals = [offset for offset in offsets if counts[offset] >= counts[best] - abs(offset - best)]
-    common = [number for number in numbers if all(number + offset in files for offset in rivals)]
-    if len(rivals) == 1 or len(common) < 2:
+    candidates = [offset for offset in offsets if counts[offset] >= counts[best] - abs(offset - best)]
+    common = [number for number in numbers if all(number + offset in files for offset in candidates)]
+    if len(candidates) == 1 or len(common) < 2:
         return best
     chosen = [common[round(place)] for place in np.linspace(0, len(common) - 1, min(FRAMES, len(common)))]
-    scores = dict.fromkeys(rivals, 0.0)
+    scores = dict.fromkeys(candidates, 0.0)
     for number in chosen:
         edges = _edges(image(number))
-        for offset in rivals:
+        for offset in candidates:
             scores[offset] += _edge_strength(edges, mask(files[number + offset]))
-    leader = max(rivals, key=lambda offset: scores[offset])
-    return leader if scores[leader] > scores[best] * (1 + CLEAR_LEAD) else best
+    leader = max(candidates, key=lambda offset: scores[offset])
+    return leader if scores[leader] > scores[best] * (1 + MIN_RELATIVE_LEAD) else best
 
 
 def _edges(image: np.ndarray) -> np.ndarray:
     """Strength of the image's edges, on a small picture."""
-    grey = cv2.cvtColor(cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(
+    gray = cv2.cvtColor(cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(
         np.float32
     )
-    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
 
 
 def _edge_strength(edges: np.ndarray, mask: np.ndarray) -> float:

@@ -11,12 +11,12 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
+from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.read_stage import selection_of
-from preprocess.pipeline.stage import Job, Stage, file_state
-from preprocess.video.crop import Crop, explicit, rectangle, square, square_around, whole_frame
+from preprocess.pipeline.stage import Stage, StageContext, file_state
+from preprocess.video.crop import Crop, explicit_crop, parse_rectangle, square_around, square_crop, whole_frame
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.sources import open_source
 
@@ -29,7 +29,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
     if not 64 <= options.size <= 4096:
         raise InputError(f"--size: expected 64 to 4096 px, found {options.size}")
     if options.crop not in ("auto", "none"):
-        rectangle(options.crop)
+        parse_rectangle(options.crop)
     return {
         "size": options.size,
         "crop": options.crop,
@@ -38,17 +38,17 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
     }
 
 
-def run(job: Job) -> Mapping[str, Any]:
+def run(context: StageContext) -> Mapping[str, Any]:
     """Decode again, crop, resample and write `images/%06d.png`; files of an interrupted run are kept."""
-    options, source = job.options, job.results["frames"]
-    crop = choose_crop(job)
-    folder = job.folder / "images"
+    options, source = context.options, context.results["frames"]
+    crop = choose_crop(context)
+    folder = context.folder / "images"
     folder.mkdir(parents=True, exist_ok=True)
     numbers = list(source["numbers"])
     wanted = selection_of(options).keep(open_source(options.input, options.fps).frames())
     done = 0
     for done, _ in enumerate(ordered_map(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
-        job.reporter.advance(done, len(numbers))
+        context.reporter.advance(done, len(numbers))
     if done != len(numbers):
         raise InputError(
             f"{options.input}: {len(numbers)} frames at first, {done} now; the file has changed while it was read"
@@ -68,25 +68,27 @@ def _write(crop: Crop, path: Path, source: np.ndarray | None) -> None:
         write_png(path, crop.image(source))
 
 
-def choose_crop(job: Job) -> Crop:
+def choose_crop(context: StageContext) -> Crop:
     """The crop as asked for, or one that suits the imported tracking or the faces that were found."""
-    options, source = job.options, job.results["frames"]
+    options, source = context.options, context.results["frames"]
     width, height = source["width"], source["height"]
     if options.crop == "none":
         return whole_frame(width, height, options.size)
     if options.crop != "auto":
-        return explicit(options.crop, width, height, options.size)
+        return explicit_crop(options.crop, width, height, options.size)
     if options.tracking is not None:
-        return _crop_for_tracking(read_foreign(options)[1], width, height, options.size)
-    return _crop_for_faces(job, width, height)
+        return _crop_for_tracking(read_tracking_record(options)[1], width, height, options.size)
+    return _crop_for_faces(context, width, height)
 
 
-def _crop_for_faces(job: Job, width: int, height: int) -> Crop:
-    """A square around the detected faces."""
-    source, size = job.results["frames"], job.options.size
+def _crop_for_faces(context: StageContext, width: int, height: int) -> Crop:
+    """A square_crop around the detected faces."""
+    source, size = context.results["frames"], context.options.size
     faces = np.array(source["faces"]).reshape(-1, 4)
     if not len(faces):
-        raise InputError(f"{job.options.input}: no face found; choose the crop by hand with --crop X,Y,WIDTH,HEIGHT")
+        raise InputError(
+            f"{context.options.input}: no face found; choose the crop by hand with --crop X,Y,WIDTH,HEIGHT"
+        )
     # The detector's box spans brows to chin; a head with hair is about one and a half times as tall.
     centers, sides = (faces[:, :2] + faces[:, 2:]) / 2, faces[:, 2:] - faces[:, :2]
     heads = np.concatenate((centers - sides * [0.65, 0.85], centers + sides * [0.65, 0.65]), axis=1)
@@ -113,7 +115,7 @@ def _size_mismatch(record: TrackingRecord, width: int, height: int) -> str:
 
 
 def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: int) -> Crop:
-    """The whole frame if it is square, else a square around the tracked heads."""
+    """The whole frame if it is square_crop, else a square_crop around the tracked heads."""
     if not tracked_size_fits(record, width, height):
         raise InputError(_size_mismatch(record, width, height))
     if width == height:
@@ -133,7 +135,7 @@ def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: in
         or (boxes[:, 0] > width).all()
         or (boxes[:, 1] > height).all()
     ):
-        return square((width / 2, height / 2), min(width, height), width, height, size)
+        return square_crop((width / 2, height / 2), min(width, height), width, height, size)
     return square_around(boxes, width, height, size)
 
 

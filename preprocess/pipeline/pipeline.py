@@ -14,9 +14,9 @@ from preprocess.options import PrepOptions
 from preprocess.pipeline import crop_stage, doctor_stage, mask_stage, pack_stage, read_stage, tracking_stage
 from preprocess.pipeline.stage import (
     RECORDS,
-    Job,
     Reporter,
     Stage,
+    StageContext,
     fingerprint,
     finished_result,
     was_interrupted,
@@ -60,7 +60,9 @@ def run_pipeline(
         result = finished_result(options.output_dir, stage, before)
         with reporter(stage, result is not None) as place:
             results[stage.name] = (
-                result if result is not None else _run(stage, Job(options, options.output_dir, results, place), before)
+                result
+                if result is not None
+                else _run(stage, StageContext(options, options.output_dir, results, place), before)
             )
     return results
 
@@ -73,19 +75,19 @@ def _fingerprints(options: PrepOptions, stages: tuple[Stage, ...]) -> list[str]:
     return found
 
 
-def _run(stage: Stage, job: Job, wanted: str) -> Mapping[str, Any]:
+def _run(stage: Stage, context: StageContext, wanted: str) -> Mapping[str, Any]:
     """Run one stage. From here until the end of packing the folder is no capture.
 
     So nobody reads half of a new and half of an old one.
     """
     if stage.name != doctor_stage.STAGE.name:
-        (job.folder / DESCRIPTION).unlink(missing_ok=True)
-    if not was_interrupted(job.folder, stage, wanted):
+        (context.folder / DESCRIPTION).unlink(missing_ok=True)
+    if not was_interrupted(context.folder, stage, wanted):
         for name in stage.outputs:
-            _remove_output(job.folder / name)
-    write_record(job.folder, stage, wanted, None)
-    result = stage.run(job)
-    write_record(job.folder, stage, wanted, result)
+            _remove_output(context.folder / name)
+    write_record(context.folder, stage, wanted, None)
+    result = stage.run(context)
+    write_record(context.folder, stage, wanted, result)
     return result
 
 

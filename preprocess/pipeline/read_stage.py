@@ -11,7 +11,7 @@ import numpy as np
 
 from ggavatar.errors import GateError, InputError
 from preprocess.options import PrepOptions
-from preprocess.pipeline.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source
@@ -36,9 +36,9 @@ def selection_of(options: PrepOptions) -> Selection:
     return parse_selection(fps, options.start, options.end, options.frames)
 
 
-def run(job: Job) -> Mapping[str, Any]:
+def run(context: StageContext) -> Mapping[str, Any]:
     """Numbers, times and size of the frames; the source's name and SHA-256; face boxes every half second."""
-    options = job.options
+    options = context.options
     source, selection = open_source(options.input, options.fps), selection_of(options)
     detect = _face_finder(options) if needs_faces(options) else None
     numbers: list[int] = []
@@ -51,12 +51,12 @@ def run(job: Job) -> Mapping[str, Any]:
         numbers.append(frame.number)
         times.append(frame.time)
         size = (frame.width, frame.height)
-        job.reporter.advance(len(numbers), None)
+        context.reporter.advance(len(numbers), None)
     _check_count(options, len(numbers))
     for loss in source.losses():
         if options.strict:
             raise GateError(f"{options.input}: {loss} (--strict)")
-        job.reporter.warn(f"{options.input}: {loss}; the frames before are kept")
+        context.reporter.warn(f"{options.input}: {loss}; the frames before are kept")
     return {
         "name": options.input.name,
         "sha256": _digest(options.input),

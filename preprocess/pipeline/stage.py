@@ -30,7 +30,7 @@ class Reporter(Protocol):
 
 
 @dataclass(frozen=True)
-class Job:
+class StageContext:
     """What a stage works with.
 
     Attributes:
@@ -62,7 +62,7 @@ class Stage:
     name: str
     title: str
     inputs: Callable[[PrepOptions], Mapping[str, Any]]
-    run: Callable[[Job], Mapping[str, Any]]
+    run: Callable[[StageContext], Mapping[str, Any]]
     outputs: tuple[str, ...] = ()
     version: int = 1
 

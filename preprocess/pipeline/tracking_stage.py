@@ -17,10 +17,10 @@ from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.doctor.conventions import apply_fixes
 from preprocess.doctor.frame_offset import find_offset
-from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
+from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions
-from preprocess.pipeline.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence
 from preprocess.tracking.torso.torso import followed_torso
@@ -41,38 +41,42 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
     }
 
 
-def run(job: Job) -> Mapping[str, Any]:
+def run(context: StageContext) -> Mapping[str, Any]:
     """Write tracking.npz and head.npz; the result says which frames they cover and where they came from."""
     from ggavatar.head.files import save_head
 
-    numbers = list(job.results["masks"]["numbers"])
+    numbers = list(context.results["masks"]["numbers"])
     with one_torch_thread():
-        numbers, sequence = _imported(job, numbers) if job.options.tracking else (numbers, _tracked(job, numbers))
-    write_npz(job.folder / TRACKING, sequence.tracking.arrays())
-    save_head(sequence.head, job.folder / HEAD)
+        numbers, sequence = (
+            _imported(context, numbers) if context.options.tracking else (numbers, _tracked(context, numbers))
+        )
+    write_npz(context.folder / TRACKING, sequence.tracking.arrays())
+    save_head(sequence.head, context.folder / HEAD)
     for warning in sequence.report.get("warnings", ()):
-        job.reporter.warn(str(warning))
+        context.reporter.warn(str(warning))
     return {"numbers": numbers, "version": sequence.head.version, "report": dict(sequence.report)}
 
 
-def _tracked(job: Job, numbers: list[int]) -> TrackedSequence:
+def _tracked(context: StageContext, numbers: list[int]) -> TrackedSequence:
     """Our own tracker, reading one image at a time."""
     from preprocess.tracking.tracker import track
 
-    images = PicturesOnDisk(job, "images", numbers, read_rgb)
-    masks = PicturesOnDisk(job, "masks", numbers, read_gray)
-    source, crop = job.results["frames"], crop_from_json(dict(job.results["crop"]["crop"]))
+    images = ImagesOnDisk(context, "images", numbers, read_rgb)
+    masks = ImagesOnDisk(context, "masks", numbers, read_gray)
+    source, crop = context.results["frames"], crop_from_json(dict(context.results["crop"]["crop"]))
     middle = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
     center = crop.intrinsics(middle)[:2, 2]
-    return track(images, masks, float(source["fps"]), job.options, (float(center[0]), float(center[1])))
+    return track(images, masks, float(source["fps"]), context.options, (float(center[0]), float(center[1])))
 
 
-class PicturesOnDisk(Sequence[np.ndarray]):
+class ImagesOnDisk(Sequence[np.ndarray]):
     """The clip's images or masks, each read when it is asked for; reading images shows as progress."""
 
-    def __init__(self, job: Job, folder: str, numbers: Sequence[int], read: Callable[[Path], np.ndarray]) -> None:
-        self._paths = [job.folder / folder / f"{number:06d}.png" for number in numbers]
-        self._read, self._reporter = read, job.reporter
+    def __init__(
+        self, context: StageContext, folder: str, numbers: Sequence[int], read: Callable[[Path], np.ndarray]
+    ) -> None:
+        self._paths = [context.folder / folder / f"{number:06d}.png" for number in numbers]
+        self._read, self._reporter = read, context.reporter
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -91,17 +95,17 @@ class PicturesOnDisk(Sequence[np.ndarray]):
         return picture
 
 
-def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
+def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
     """Another tracker's output: fitted to the head, moved to the capture's pixels and paired with its frames."""
-    options = job.options
-    name, record = read_foreign(options)
+    options = context.options
+    name, record = read_tracking_record(options)
     head, version_note = _head(options, record)
-    crop = crop_from_json(dict(job.results["crop"]["crop"]))
-    tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, job)
+    crop = crop_from_json(dict(context.results["crop"]["crop"]))
+    tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, context)
     fixes = [fix for fix in options.fix if fix != SWAPPED_SIZE]
     tracking = apply_fixes(tracking, fixes, crop.out_width, crop.out_height)
     known = [int(number) for number in record.numbers]
-    offset, pairing = _offset(job, head, tracking, known, numbers)
+    offset, pairing = _offset(context, head, tracking, known, numbers)
     row_of = {number: row for row, number in enumerate(known)}
     kept = [number for number in numbers if number - offset in row_of]
     if len(kept) < 2:
@@ -110,18 +114,18 @@ def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]
             "tracking?"
         )
     rows = np.array([row_of[number - offset] for number in kept])
-    found = with_torso(job, head, tracking.rows(rows), kept)
+    found = with_torso(context, head, tracking.rows(rows), kept)
     report = {"tracker": name, "offset": offset, "pairing": pairing, "notes": [*record.notes, *version_note]}
     return kept, TrackedSequence(
         found, head, report | {"warnings": _warnings(record, pairing, len(numbers) - len(kept))}
     )
 
 
-def with_torso(job: Job, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
+def with_torso(context: StageContext, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
     """The tracking with the torso's own motion, which other trackers do not tell."""
-    images = PicturesOnDisk(job, "images", numbers, read_rgb)
-    masks = PicturesOnDisk(job, "masks", numbers, read_gray)
-    torso = followed_torso(head, tracking, images, masks, float(job.results["frames"]["fps"]))
+    images = ImagesOnDisk(context, "images", numbers, read_rgb)
+    masks = ImagesOnDisk(context, "masks", numbers, read_gray)
+    torso = followed_torso(head, tracking, images, masks, float(context.results["frames"]["fps"]))
     return dataclasses.replace(tracking, torso_to_camera=torso)
 
 
@@ -138,15 +142,15 @@ def _warnings(record: TrackingRecord, pairing: Mapping[str, Any], lost: int) -> 
 
 
 def _offset(
-    job: Job, head: Any, tracking: Tracking, known: list[int], numbers: list[int]
+    context: StageContext, head: Any, tracking: Tracking, known: list[int], numbers: list[int]
 ) -> tuple[int, dict[str, Any]]:
     """The frame offset asked for, or found by comparing pictures."""
-    asked = job.options.frame_offset
+    asked = context.options.frame_offset
     if asked is not None:
         return asked, {"offset": asked, "suggested": asked, "scores": {}}
 
     def image(number: int) -> np.ndarray:
-        return read_rgb(job.folder / "images" / f"{number:06d}.png")
+        return read_rgb(context.folder / "images" / f"{number:06d}.png")
 
     found = find_offset(head, tracking, known, numbers, image)
     scores = {str(offset): round(score, 5) for offset, score in found.scores.items()}
@@ -195,9 +199,11 @@ def with_static_offset(head: HeadModel, record: TrackingRecord) -> HeadModel:
     return dataclasses.replace(head, template=template)
 
 
-def to_tracking(record: TrackingRecord, expressions: int, joint_names: tuple[str, ...], job: Job) -> Tracking:
+def to_tracking(
+    record: TrackingRecord, expressions: int, joint_names: tuple[str, ...], context: StageContext
+) -> Tracking:
     """A foreign record as tracking of the capture: padded to the head's sizes, intrinsics in px of the capture."""
-    crop, source = crop_from_json(dict(job.results["crop"]["crop"])), job.results["frames"]
+    crop, source = crop_from_json(dict(context.results["crop"]["crop"])), context.results["frames"]
     scale = np.diag([source["width"] / record.width, source["height"] / record.height, 1.0])
     joints = np.zeros((len(record.numbers), len(joint_names), 3))
     joints[:, : min(FLAME_JOINTS, len(joint_names))] = record.joint_rotations[:, : len(joint_names)]

@@ -12,7 +12,7 @@ from numpy import ndarray
 from ggavatar.head.files import save_head
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.jit.threads import run
-from preprocess.synthetic.animation.motion import FPS, Motion, perform
+from preprocess.synthetic.animation.motion import FPS, Performance, perform
 from preprocess.synthetic.output_folder import DemoFolder, write_manifest
 from preprocess.synthetic.rendering import room
 from preprocess.synthetic.studio import Studio
@@ -59,7 +59,7 @@ def write_demo(folder: Path, settings: Settings) -> Iterator[int]:
                 yield index
 
 
-def true_tracking(motion: Motion, size: int, identity: ndarray) -> Tracking:
+def true_tracking(motion: Performance, size: int, identity: ndarray) -> Tracking:
     """The performance in a tracker's words, without errors: the head stands still and the camera moves."""
     return Tracking(
         expression=motion.expression,

@@ -72,7 +72,7 @@ class DemoFolder:
         return self.folder / "tracking" / f"{index:05d}.frame"
 
 
-def claim(folder: Path, *, overwrite: bool) -> None:
+def prepare_demo_folder(folder: Path, *, overwrite: bool) -> None:
     """Make sure that the folder may be written.
 
     With `overwrite`, take away the files of an earlier demo, and nothing else.

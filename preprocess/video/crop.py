@@ -13,7 +13,7 @@ from ggavatar.errors import InputError
 
 @dataclass(frozen=True)
 class Crop:
-    """A rectangle of the source and the size it is resampled to; it may reach beyond the source, which is then padded.
+    """A parse_rectangle of the source and the size it is resampled to; it may reach beyond the source, which is then padded.
 
     Attributes:
         x: Left edge, px of the source.
@@ -52,7 +52,7 @@ class Crop:
         )
 
     def intrinsics(self, source: Float[np.ndarray, "*T 3 3"]) -> Float[np.ndarray, "*T 3 3"]:
-        """Intrinsics in px of the capture from those in px of the source (edges aligned, pixel centres at +0.5)."""
+        """Intrinsics in px of the capture from those in px of the source (edges aligned, pixel centers at +0.5)."""
         shift = np.array([[1.0, 0, -self.x], [0, 1, -self.y], [0, 0, 1]])
         scale = np.diag([self.out_width / self.width, self.out_height / self.height, 1.0])
         return scale @ shift @ source
@@ -73,7 +73,7 @@ def whole_frame(width: int, height: int, size: int) -> Crop:
     return Crop(0, 0, width, height, max(1, round(width * factor)), max(1, round(height * factor)))
 
 
-def square(center: tuple[float, float], side: float, width: int, height: int, size: int) -> Crop:
+def square_crop(center: tuple[float, float], side: float, width: int, height: int, size: int) -> Crop:
     """A square around a point.
 
     Moved inside the source where it can be, cut down to its shorter side where it cannot.
@@ -95,10 +95,10 @@ def square_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size
     side = max(2.0 * head, 1.15 * float(max(high - low)))
     center = (low + high) / 2
     # Hair above needs less room than shoulders below.
-    return square((float(center[0]), float(center[1] + 0.12 * head)), side, width, height, size)
+    return square_crop((float(center[0]), float(center[1] + 0.12 * head)), side, width, height, size)
 
 
-def rectangle(text: str) -> tuple[int, int, int, int]:
+def parse_rectangle(text: str) -> tuple[int, int, int, int]:
     """What `--crop X,Y,WIDTH,HEIGHT` says, px."""
     try:
         x, y, width, height = (int(part) for part in text.split(","))
@@ -107,13 +107,13 @@ def rectangle(text: str) -> tuple[int, int, int, int]:
     return x, y, width, height
 
 
-def explicit(text: str, width: int, height: int, size: int) -> Crop:
+def explicit_crop(text: str, width: int, height: int, size: int) -> Crop:
     """The crop of `--crop X,Y,WIDTH,HEIGHT`; it may reach beyond the frame."""
-    x, y, crop_width, crop_height = rectangle(text)
+    x, y, crop_width, crop_height = parse_rectangle(text)
     outside = x >= width or y >= height or x + crop_width <= 0 or y + crop_height <= 0
     if crop_width < 16 or crop_height < 16 or outside or max(crop_width, crop_height) > 4 * max(width, height):
         raise InputError(
-            f"--crop {text}: expected a rectangle of at least 16 px that overlaps the {width}×{height} px frame"
+            f"--crop {text}: expected a parse_rectangle of at least 16 px that overlaps the {width}×{height} px frame"
         )
     factor = size / max(crop_width, crop_height)
     return Crop(x, y, crop_width, crop_height, max(1, round(crop_width * factor)), max(1, round(crop_height * factor)))

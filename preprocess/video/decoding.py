@@ -33,7 +33,7 @@ class Video:
             return av.open(file, options={"format_whitelist": _CONTAINERS})
         except (av.error.FFmpegError, ValueError, OSError) as error:
             raise InputError(
-                f"{self.path}: not a video that can be decoded, or cut off before its index ({_words(error)}); "
+                f"{self.path}: not a video that can be decoded, or cut off before its index ({_error_text(error)}); "
                 "copy it again or convert it with ffmpeg"
             ) from error
 
@@ -86,7 +86,7 @@ class Video:
             except StopIteration:
                 break
             except (av.error.FFmpegError, ValueError) as error:
-                self._losses.append(f"reading stopped early: {_words(error)}")
+                self._losses.append(f"reading stopped early: {_error_text(error)}")
                 break
             try:
                 yield from packet.decode()
@@ -175,5 +175,5 @@ def _pulled(graph: Any) -> Iterator[Any]:
             return
 
 
-def _words(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return str(getattr(error, "strerror", None) or error)

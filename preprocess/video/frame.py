@@ -14,7 +14,7 @@ class DecodedFrame(NamedTuple):
     """One frame of a source.
 
     Attributes:
-        number: Source frame number, from 0 for videos; the file's own number for pictures.
+        number: FrameSource frame number, from 0 for videos; the file's own number for pictures.
         time: Since the first frame, s.
         width: px, upright.
         height: px, upright.
@@ -34,7 +34,7 @@ class DecodedFrame(NamedTuple):
 
 
 @runtime_checkable
-class Source(Protocol):
+class FrameSource(Protocol):
     """A video or a folder of pictures."""
 
     path: Path

@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from preprocess.video.frame import Source
+from preprocess.video.frame import FrameSource
 from preprocess.video.image_folder import ImageFolder
 
 
-def open_source(path: Path, fps: float | None = None) -> Source:
+def open_source(path: Path, fps: float | None = None) -> FrameSource:
     """A video file or a folder of pictures as a source.
 
     Args:

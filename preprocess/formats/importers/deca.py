@@ -35,7 +35,7 @@ def _entries(folder: Path) -> list[Path]:
     return folders or archives
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether the first entry has exp, pose and cam."""
     try:
         return bool(_entries(folder)) and {"exp", "pose", "cam"} <= set(_values(_entries(folder)[0]))

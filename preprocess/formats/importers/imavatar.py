@@ -26,7 +26,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 OLD_SIZE = 512
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether it is flame_params.json or a folder with it."""
     return _path(folder).is_file()
 

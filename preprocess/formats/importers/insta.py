@@ -38,7 +38,7 @@ from preprocess.formats.tracking_record import TrackingRecord, require_finite, s
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether transforms.json and flame/exp are there."""
     return (folder / "transforms.json").is_file() and (folder / "flame" / "exp").is_dir()
 

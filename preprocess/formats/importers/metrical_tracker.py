@@ -28,7 +28,7 @@ TITLE = "metrical-tracker: folder of %05d.frame"
 _NAME = re.compile(r"^(\d{1,9})\.frame$")
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether the folder, or `checkpoint` in it, holds `.frame` files."""
     return bool(_files(folder))
 
@@ -186,12 +186,12 @@ def _pytorch3d(pose: np.ndarray, intrinsics: np.ndarray, width: int, height: int
     """The same camera as PyTorch3D's NDC: row vectors, +X left, +Y up; lengths in half the shorter side."""
     half = min(width, height) / 2
     rotation = pose[:3, :3].T * np.array([-1.0, -1.0, 1.0])
-    centre = np.array([width / 2 - intrinsics[0, 2], height / 2 - intrinsics[1, 2]]) / half
+    center = np.array([width / 2 - intrinsics[0, 2], height / 2 - intrinsics[1, 2]]) / half
     return {
         "R": rotation[:2].reshape(-1),
         "t": pose[:3, 3] * np.array([-1.0, -1.0, 1.0]),
         "fl": intrinsics[:1, 0] / half,
-        "pp": centre,
+        "pp": center,
     }
 
 

@@ -1,7 +1,7 @@
 """NeRFace: transforms_{train,val,test}.json with 76 Face2Face coefficients, which are not FLAME's.
 
 The camera is OpenGL's, mirrored through a negative focal length in x; to keep poses rigid, the head's left and right
-are mirrored instead. Pixel coordinates are whole numbers at pixel centres.
+are mirrored instead. Pixel coordinates are whole numbers at pixel centers.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _files(folder: Path) -> list[Path]:
     return [path for part in _PARTS if (path := folder / f"transforms_{part}.json").is_file()]
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether the split files have `intrinsics` and frames with `expression`."""
     try:
         data = read_json(_files(folder)[0]) if _files(folder) else {}

@@ -1,6 +1,6 @@
 """NeRFBlendShape: transforms.json with OpenGL cameras and 46 blendshape coefficients of its own, which are not FLAME's.
 
-Its pixel coordinates are whole numbers at pixel centres, so half a pixel is added to the principal point. The head
+Its pixel coordinates are whole numbers at pixel centers, so half a pixel is added to the principal point. The head
 model of these coefficients is not part of the data set: the usual way is to track the video again.
 """
 
@@ -28,7 +28,7 @@ from preprocess.formats.tracking_record import TrackingRecord, require_finite
 TITLE = "NeRFBlendShape: transforms.json with exp_ori (not FLAME)"
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether transforms.json has frames with img_id and exp_ori."""
     path = folder / "transforms.json"
     try:

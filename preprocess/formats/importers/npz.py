@@ -19,7 +19,7 @@ TITLE = (
 )
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether it is an npz file with our names in it."""
     if folder.suffix.lower() != ".npz" or not folder.is_file():
         return False

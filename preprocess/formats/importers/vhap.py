@@ -44,7 +44,7 @@ _KEYS = (
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether transforms.json and flame_param are there."""
     return (folder / "flame_param").is_dir() and any(
         (folder / name).is_file() for name in ("transforms.json", *_SPLITS)
@@ -151,7 +151,7 @@ def _joints(values: Mapping[str, np.ndarray]) -> np.ndarray:
 def write(folder: Path, record: TrackingRecord) -> None:
     """Write transforms.json, its splits and flame_param as VHAP does: the first 70 % train, the rest tests.
 
-    GaussianAvatars ignores the principal point: give it images whose centre it is.
+    GaussianAvatars ignores the principal point: give it images whose center it is.
     """
     (folder / "flame_param").mkdir(parents=True, exist_ok=True)
     offset = record.extra.get("static_offset")

@@ -67,7 +67,7 @@ def _upright(poses: ndarray, hang: float) -> ndarray:
     return result
 
 
-def swung(
+def swing_hair(
     nodes: Float[ndarray, "S N 3"], head: Float[ndarray, "4 4"], lags: Float[ndarray, "B 4 4"], flex: float
 ) -> Float[ndarray, "S N 3"]:
     """Nodes in the room: roots on the head, tips as far towards their band's lagging pose as `flex` allows."""

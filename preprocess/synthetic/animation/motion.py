@@ -19,7 +19,7 @@ _BLINK = (0.25, 0.85, 1.0, 0.90, 0.55, 0.25, 0.08)
 
 
 @dataclass(frozen=True)
-class Motion:
+class Performance:
     """T frames of true animation.
 
     Attributes:
@@ -105,8 +105,8 @@ GESTURES = (
 )
 
 
-def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
-    """Motion of `frames` frames at 25 fps for a head with the given expression names.
+def perform(names: tuple[str, ...], frames: int, seed: int) -> Performance:
+    """Performance of `frames` frames at 25 fps for a head with the given expression names.
 
     Long clips contain every gesture at least once, smiles to their extreme, and head yaw to ±35°.
     """
@@ -122,7 +122,7 @@ def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
     yaw, pitch, roll, shift = _head(frames, generator)
     eyes = _gaze(frames, yaw, pitch, generator)
     eyelids = _eyelids(frames, eyes, yaw, generator)
-    return Motion(expression, jaw, eyes, eyelids, _pose(yaw, pitch, roll, shift), _sway(frames, yaw, generator))
+    return Performance(expression, jaw, eyes, eyelids, _pose(yaw, pitch, roll, shift), _sway(frames, yaw, generator))
 
 
 def _drift(frames: int, width: int, generator: np.random.Generator) -> ndarray:
@@ -240,7 +240,7 @@ def _pose(yaw: ndarray, pitch: ndarray, roll: ndarray, shift: ndarray) -> ndarra
 
 
 def _sway(frames: int, yaw: ndarray, generator: np.random.Generator) -> ndarray:
-    """The torso breathes and sways by millimetres and turns by a tenth of the head's yaw, late."""
+    """The torso breathes and sways by millimeters and turns by a tenth of the head's yaw, late."""
     late = gaussian_filter1d(np.concatenate((np.full(8, yaw[0]), yaw)), 6)[:frames]
     breath = 0.0012 * np.sin(2 * np.pi * np.arange(frames) / FPS / 3.6)
     shift = np.stack((0.003 * _drift(frames, 25, generator), breath, 0.002 * _drift(frames, 25, generator)), axis=1)

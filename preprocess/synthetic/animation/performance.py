@@ -15,15 +15,15 @@ from scipy.spatial.transform import Rotation
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.expression import lower_share
 from ggavatar.head.procedural.model import procedural_names
-from preprocess.synthetic.animation.motion import Motion
+from preprocess.synthetic.animation.motion import Performance
 from preprocess.synthetic.person.character import Character
-from preprocess.synthetic.person.texture_space import step
+from preprocess.synthetic.person.texture_space import smoothstep
 from preprocess.synthetic.person.wrinkles import bulge_strengths
 
 _STUCK, _FREE = 0.0004, 0.0030
 
 
-def tracked_vertices(head: HeadModel, motion: Motion, index: int) -> Float[ndarray, "V 3"]:
+def tracked_vertices(head: HeadModel, motion: Performance, index: int) -> Float[ndarray, "V 3"]:
     """What the head model alone makes of a frame, in head space, m."""
     rotations = torch.zeros(len(head.parents), 3)
     rotations[head.joint("jaw")] = torch.from_numpy(motion.jaw[index])
@@ -54,7 +54,7 @@ class StickyLips:
         """Close small gaps, those near the corners up to 3 mm, as moist lips do."""
         gap = points[self.upper] - points[self.lower]
         size = np.linalg.norm(gap, axis=1)
-        hold = 1 - step(0.0, 1.0, (size - _STUCK) / (self.cling * (_FREE - _STUCK) + 1e-6))
+        hold = 1 - smoothstep(0.0, 1.0, (size - _STUCK) / (self.cling * (_FREE - _STUCK) + 1e-6))
         pull = 0.5 * gap * hold[:, None]
         moved = points.copy()
         sign = np.where(self.weight > 0, -1.0, 1.0)
@@ -82,17 +82,17 @@ def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
 
 @dataclass(frozen=True)
 class Pose:
-    """Posed vertices in the room, m: head, garment, worn things, lenses; and named expression values."""
+    """Posed vertices in the room, m: head, garment, accessory things, lenses; and named expression values."""
 
     head: Float[ndarray, "W 3"]
     torso: Float[ndarray, "A 3"]
-    worn: Float[ndarray, "B 3"]
+    accessory: Float[ndarray, "B 3"]
     lens: Float[ndarray, "C 3"]
     values: dict[str, float]
     mouth_open: float
 
 
-def pose(character: Character, lips: StickyLips, motion: Motion, index: int) -> Pose:
+def pose(character: Character, lips: StickyLips, motion: Performance, index: int) -> Pose:
     """All geometry of a frame."""
     values = dict(zip(procedural_names()[0], motion.expression[index].tolist(), strict=True))
     tracked = lips.apply(tracked_vertices(character.head, motion, index))
@@ -103,7 +103,7 @@ def pose(character: Character, lips: StickyLips, motion: Motion, index: int) -> 
     return Pose(
         head=_twisted(fine, character.rest[:, 1], head, torso),
         torso=_moved(character.torso.points, torso),
-        worn=_moved(character.worn.points, head),
+        accessory=_moved(character.accessory.points, head),
         lens=_moved(character.lens.points, head),
         values=values,
         mouth_open=opening,
@@ -116,7 +116,7 @@ def _moved(points: ndarray, transform: ndarray) -> ndarray:
 
 def _twisted(points: ndarray, height: ndarray, head: ndarray, torso: ndarray) -> ndarray:
     """Head above, torso below, and in between a neck that twists: the relative rotation is taken in part."""
-    share = step(-0.158, -0.072, height)
+    share = smoothstep(-0.158, -0.072, height)
     between = np.linalg.inv(torso) @ head
     turn = Rotation.from_matrix(between[:3, :3]).as_rotvec()
     middle = (share > 0) & (share < 1)

@@ -14,15 +14,15 @@ from ggavatar.head.procedural.model import procedural_head, procedural_names
 from ggavatar.head.procedural.parts import Part
 from preprocess.synthetic.person.accessories import beanie, glasses_frame, lenses
 from preprocess.synthetic.person.description import PEOPLE, Person
-from preprocess.synthetic.person.fuzz import Fuzz, beard, brows
-from preprocess.synthetic.person.hair import Groom, grow, scalp_density, scatter
+from preprocess.synthetic.person.fuzz import ShortHair, beard, brows
+from preprocess.synthetic.person.hair import ScalpHair, grow_scalp_hair, sample_surface, scalp_density
 from preprocess.synthetic.person.lashes import lashes
 from preprocess.synthetic.person.skin_paint import paint_head, paint_relief
 from preprocess.synthetic.person.subdivision import Subdivision, subdivide
-from preprocess.synthetic.person.texture_space import Texels, locate, noise, to_linear
+from preprocess.synthetic.person.texture_space import Texels, locate_texels, noise, to_linear
 from preprocess.synthetic.person.torso import build_torso, paint_garment
-from preprocess.synthetic.person.wrinkles import Patch, bulge_fields, patches
-from preprocess.synthetic.rendering.lights import sky_share
+from preprocess.synthetic.person.wrinkles import FoldPatch, bulge_fields, fold_patches
+from preprocess.synthetic.rendering.lights import sky_visibility
 from preprocess.synthetic.rendering.mesh import vertex_normals
 
 TEXTURE = 1024
@@ -30,7 +30,7 @@ SKIN, EYE, MOUTH, LIPS, CLOTH, HAT, FRAME, LENS = range(8)
 
 
 @dataclass(frozen=True)
-class Worn:
+class RigidMesh:
     """A rigid mesh beside the head.
 
     Vertices at rest in m, faces, texture coordinates per corner, material of each face.
@@ -53,17 +53,17 @@ class Character:
         fine: Subdivision of its triangles.
         uv: Texture coordinates of the fine corners.
         material: Material of the fine faces.
-        occlusion: Share of sky over the fine vertices, then over those of the garment and of worn things.
+        occlusion: Share of sky over the fine vertices, then over those of the garment and of accessory things.
         rest: Generic position of the fine vertices, m.
         torso: Garment, fixed in the room.
-        worn: Glasses or hat, fixed to the head; maybe empty.
+        accessory: Glasses or hat, fixed to the head; maybe empty.
         lens: Lenses; maybe empty.
-        albedo: Linear colour of the head's, the garment's and the worn things' texture.
+        albedo: Linear color of the head's, the garment's and the accessory things' texture.
         relief: Heights of the same textures, m.
         folds: Pieces of the head's relief that come with expressions.
         bulges: Displacements of the fine vertices that come with expressions.
-        groom: Scalp hair.
-        fuzz: Brows, lashes, beard.
+        scalp_hair: Scalp hair.
+        short_hair: Brows, lashes, beard.
         materials: One row per material for the shader.
     """
 
@@ -75,15 +75,15 @@ class Character:
     material: UInt8[ndarray, " G"]
     occlusion: Float[ndarray, " A"]
     rest: Float[ndarray, "W 3"]
-    torso: Worn
-    worn: Worn
-    lens: Worn
+    torso: RigidMesh
+    accessory: RigidMesh
+    lens: RigidMesh
     albedo: Float[ndarray, "3 R R 3"]
     relief: Float[ndarray, "3 R R"]
-    folds: list[Patch]
+    folds: list[FoldPatch]
     bulges: Float[ndarray, "B 2 W 3"]
-    groom: Groom
-    fuzz: tuple[Fuzz, ...]
+    scalp_hair: ScalpHair
+    short_hair: tuple[ShortHair, ...]
     materials: Float[ndarray, "M 5"]
 
 
@@ -99,10 +99,10 @@ def build_character(number: int) -> Character:
     shape = fine.weights @ head.template.numpy().astype(np.float64)
     groups = _face_groups(head)
     assert head.uv is not None
-    texels = locate(generic.template.numpy().astype(np.float64), faces, head.uv.numpy(), TEXTURE)
-    torso, worn, lens = _torso(person), _worn(person, identity), _lens(person, identity)
+    texels = locate_texels(generic.template.numpy().astype(np.float64), faces, head.uv.numpy(), TEXTURE)
+    torso, accessory, lens = _torso(person), _accessory(person, identity), _lens(person, identity)
     albedo, relief = _textures(texels, groups, person, number)
-    on_skin = np.isin(np.arange(len(rest)), fine.faces[np.repeat(_is(groups["skin"], faces), 4)])
+    on_skin = np.isin(np.arange(len(rest)), fine.faces[np.repeat(_membership(groups["skin"], faces), 4)])
     return Character(
         person=person,
         identity=identity,
@@ -110,17 +110,17 @@ def build_character(number: int) -> Character:
         fine=fine,
         uv=fine.corners(head.uv.numpy()).astype(np.float32),
         material=np.repeat(_materials_of_faces(head, groups), 4),
-        occlusion=_occlusion(shape, fine.faces, torso, worn),
+        occlusion=_occlusion(shape, fine.faces, torso, accessory),
         rest=rest,
         torso=torso,
-        worn=worn,
+        accessory=accessory,
         lens=lens,
         albedo=albedo,
         relief=relief,
-        folds=patches(texels),
+        folds=fold_patches(texels),
         bulges=bulge_fields(rest, on_skin),
-        groom=_groom(generic, identity, person, groups, number),
-        fuzz=_fuzz(head, fine, rest, groups, person, number),
+        scalp_hair=_scalp_hair(generic, identity, person, groups, number),
+        short_hair=_short_hair(head, fine, rest, groups, person, number),
         materials=_shader_rows(person),
     )
 
@@ -134,7 +134,7 @@ def _face_groups(head: HeadModel) -> dict[str, ndarray]:
     return groups | {"mouth_bag": np.setdiff1d(np.arange(len(faces)), taken)}
 
 
-def _is(rows: ndarray, faces: ndarray) -> ndarray:
+def _membership(rows: ndarray, faces: ndarray) -> ndarray:
     mask = np.zeros(len(faces), bool)
     mask[rows] = True
     return mask
@@ -170,14 +170,16 @@ def _shader_rows(person: Person) -> Float[ndarray, "M 5"]:
     )
 
 
-def _torso(person: Person) -> Worn:
+def _torso(person: Person) -> RigidMesh:
     torso = build_torso(person.garment)
-    return Worn(torso.points, torso.faces, torso.uv.astype(np.float32), np.full(len(torso.faces), CLOTH, np.uint8))
+    return RigidMesh(torso.points, torso.faces, torso.uv.astype(np.float32), np.full(len(torso.faces), CLOTH, np.uint8))
 
 
-def _placed(part: Part, uv: ndarray, identity: ndarray, material: int) -> Worn:
+def _placed(part: Part, uv: ndarray, identity: ndarray, material: int) -> RigidMesh:
     points = warp_points(part.vertices, identity * _rigid_identity())
-    return Worn(points, part.faces, uv[part.faces].astype(np.float32), np.full(len(part.faces), material, np.uint8))
+    return RigidMesh(
+        points, part.faces, uv[part.faces].astype(np.float32), np.full(len(part.faces), material, np.uint8)
+    )
 
 
 def _rigid_identity() -> Float[ndarray, " I"]:
@@ -186,7 +188,7 @@ def _rigid_identity() -> Float[ndarray, " I"]:
     return np.array([float(name in kept) for name in procedural_names()[1]])
 
 
-def _worn(person: Person, identity: ndarray) -> Worn:
+def _accessory(person: Person, identity: ndarray) -> RigidMesh:
     """Glasses (texture coordinates in the lowest tenth) or a hat (above), or nothing."""
     if person.glasses is not None:
         part = glasses_frame()
@@ -194,35 +196,37 @@ def _worn(person: Person, identity: ndarray) -> Worn:
     if person.hat is not None:
         part, uv = beanie()
         return _placed(part, uv * (1.0, 0.85) + (0.0, 0.13), identity, HAT)
-    return _nothing()
+    return _no_mesh()
 
 
-def _lens(person: Person, identity: ndarray) -> Worn:
+def _lens(person: Person, identity: ndarray) -> RigidMesh:
     if person.glasses is None:
-        return _nothing()
+        return _no_mesh()
     part = lenses()
     return _placed(part, np.full((len(part.vertices), 2), 0.05), identity, LENS)
 
 
-def _nothing() -> Worn:
-    return Worn(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3, 2), np.float32), np.zeros(0, np.uint8))
+def _no_mesh() -> RigidMesh:
+    return RigidMesh(
+        np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3, 2), np.float32), np.zeros(0, np.uint8)
+    )
 
 
 def _textures(texels: Texels, groups: dict[str, ndarray], person: Person, seed: int) -> tuple[ndarray, ndarray]:
-    """Linear colours and heights of head, garment and worn things."""
+    """Linear colors and heights of head, garment and accessory things."""
     head, head_relief = (
         to_linear(paint_head(texels, groups, person, seed * 100)),
         paint_relief(texels, groups, seed * 100),
     )
     cloth, cloth_relief = paint_garment(person.garment, TEXTURE, seed * 100 + 50)
-    other, other_relief = _paint_worn(person, seed * 100 + 70)
+    other, other_relief = _paint_accessory(person, seed * 100 + 70)
     return np.stack((head, cloth, other)).astype(np.float32), np.stack(
         (head_relief, cloth_relief, other_relief)
     ).astype(np.float32)
 
 
-def _paint_worn(person: Person, seed: int) -> tuple[ndarray, ndarray]:
-    """Knitted wool above, the glasses' colour below."""
+def _paint_accessory(person: Person, seed: int) -> tuple[ndarray, ndarray]:
+    """Knitted wool above, the glasses' color below."""
     v, u = np.meshgrid((np.arange(TEXTURE) + 0.5) / TEXTURE, (np.arange(TEXTURE) + 0.5) / TEXTURE, indexing="ij")
     ribs = np.sin(2 * np.pi * 88 * u)
     stitches = np.sin(2 * np.pi * 120 * v + 1.5 * ribs)
@@ -234,41 +238,43 @@ def _paint_worn(person: Person, seed: int) -> tuple[ndarray, ndarray]:
     return to_linear(image), relief
 
 
-def _occlusion(shape: ndarray, faces: ndarray, torso: Worn, worn: Worn) -> Float[ndarray, " A"]:
-    """Ambient occlusion of head, garment and worn things at rest, in this order."""
-    points = np.concatenate((shape, torso.points, worn.points))
+def _occlusion(shape: ndarray, faces: ndarray, torso: RigidMesh, accessory: RigidMesh) -> Float[ndarray, " A"]:
+    """Ambient occlusion of head, garment and accessory things at rest, in this order."""
+    points = np.concatenate((shape, torso.points, accessory.points))
     starts = np.cumsum((0, len(shape), len(torso.points)))
     joined = np.concatenate(
-        [part + start for part, start in zip((faces, torso.faces, worn.faces), starts, strict=True)]
+        [part + start for part, start in zip((faces, torso.faces, accessory.faces), starts, strict=True)]
     )
-    return sky_share(points, vertex_normals(points, joined).astype(np.float64), joined).astype(np.float32)
+    return sky_visibility(points, vertex_normals(points, joined).astype(np.float64), joined).astype(np.float32)
 
 
-def _groom(generic: HeadModel, identity: ndarray, person: Person, groups: dict[str, ndarray], seed: int) -> Groom:
+def _scalp_hair(
+    generic: HeadModel, identity: ndarray, person: Person, groups: dict[str, ndarray], seed: int
+) -> ScalpHair:
     """Scalp hair on the generic head, then moved with the person's warps."""
     points, faces = generic.template.numpy().astype(np.float64), generic.faces.numpy()
-    density = scalp_density(points[faces].mean(axis=1), _is(groups["skin"], faces))
+    density = scalp_density(points[faces].mean(axis=1), _membership(groups["skin"], faces))
     if person.hat is not None:
         density = density * (points[faces].mean(axis=1)[:, 1] < 0.045)
-    face, weights = scatter(points, faces, density, person.hair.strands, np.random.default_rng([seed, 2]))
-    groom = grow(np.einsum("sk,skc->sc", weights, points[faces[face]]), person.hair, seed)
-    nodes = warp_points(groom.nodes.reshape(-1, 3), identity * _rigid_identity()).reshape(groom.nodes.shape)
-    return Groom(nodes, groom.tone, groom.depth)
+    face, weights = sample_surface(points, faces, density, person.hair.strands, np.random.default_rng([seed, 2]))
+    scalp_hair = grow_scalp_hair(np.einsum("sk,skc->sc", weights, points[faces[face]]), person.hair, seed)
+    nodes = warp_points(scalp_hair.nodes.reshape(-1, 3), identity * _rigid_identity()).reshape(scalp_hair.nodes.shape)
+    return ScalpHair(nodes, scalp_hair.tone, scalp_hair.depth)
 
 
-def _fuzz(
+def _short_hair(
     head: HeadModel,
     fine: Subdivision,
     rest: ndarray,
     groups: dict[str, ndarray],
     person: Person,
     seed: int,
-) -> tuple[Fuzz, ...]:
-    """Brows, lashes and beard. Where they grow is decided on the generic head.
+) -> tuple[ShortHair, ...]:
+    """Brows, lashes and beard. Where they grow_scalp_hair is decided on the generic head.
 
     Their frames are those of the person's own skin.
     """
-    skin = np.repeat(_is(groups["skin"], head.faces.numpy()), 4)
+    skin = np.repeat(_membership(groups["skin"], head.faces.numpy()), 4)
     loops = tuple(_fine_loop(head.regions[name].numpy(), fine) for name in ("left_lid_margin", "right_lid_margin"))
     made = (brows(rest, fine.faces, skin, person, seed), beard(rest, fine.faces, skin, person, seed))
     found = [item for item in made if item is not None]

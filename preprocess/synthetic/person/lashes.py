@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from preprocess.synthetic.person.description import Person
-from preprocess.synthetic.person.fuzz import NODES, Fuzz, attach, tones
+from preprocess.synthetic.person.fuzz import NODES, ShortHair, attach, hair_colors
 
 _UPPER, _LOWER = 6, 3
 
@@ -32,14 +32,14 @@ class _Roots:
 
 def lashes(
     points: Float[ndarray, "V 3"], loops: tuple[ndarray, ndarray], faces: Int[ndarray, "F 3"], person: Person, seed: int
-) -> Fuzz:
+) -> ShortHair:
     """Lashes fanned outwards and curved up.
 
     Args:
         points: Vertices at rest, m.
         loops: Margins of the left and the right eye, from the outer corner over the upper lid.
         faces: Triangles of the skin.
-        person: For colour and fullness.
+        person: For color and fullness.
         seed: Of the scatter.
     """
     generator = np.random.default_rng([seed, 6])
@@ -51,7 +51,7 @@ def lashes(
     color = (0.6 * person.brow[0], 0.6 * person.brow[1], 0.6 * person.brow[2])
     offsets = _curves(roots, generator) * min(1.15, 0.6 + 0.5 * person.lashes)
     widths = np.full(len(share), 0.00013 + 0.00007 * person.lashes)
-    return attach(points, faces, (owner, weights), offsets, tones(color, len(share), generator), widths)
+    return attach(points, faces, (owner, weights), offsets, hair_colors(color, len(share), generator), widths)
 
 
 def _roots(loops: tuple[ndarray, ndarray]) -> _Roots:

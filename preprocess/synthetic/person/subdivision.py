@@ -50,7 +50,7 @@ def subdivide(faces: Int[ndarray, "F 3"], count: int) -> Subdivision:
 
 
 def _old_vertices(unique: ndarray, inner: ndarray, count: int) -> tuple[ndarray, ndarray, ndarray]:
-    """Rows that move the coarse vertices: the mean of neighbours, or of boundary neighbours on a boundary."""
+    """Rows that move the coarse vertices: the mean of neighbors, or of boundary neighbors on a boundary."""
     on_edge = np.zeros(count, bool)
     on_edge[unique[~inner].ravel()] = True
     both = np.concatenate((unique, unique[:, ::-1]))

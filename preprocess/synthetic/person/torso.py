@@ -65,7 +65,7 @@ def build_torso(garment: Garment) -> Torso:
 
 
 def paint_garment(garment: Garment, size: int, seed: int) -> tuple[Float[ndarray, "R R 3"], Float[ndarray, "R R"]]:
-    """Linear colour and relief in m of the garment's texture."""
+    """Linear color and relief in m of the garment's texture."""
     v, u = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     flat = np.stack((u.ravel(), v.ravel(), np.zeros(size * size)), axis=1)
     cloth = (1 + 0.06 * noise(flat, 0.05, seed) + 0.05 * noise(flat, 0.008, seed + 1)).reshape(size, size, 1)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from preprocess.synthetic.person.texture_space import Texels, bump, noise, step
+from preprocess.synthetic.person.texture_space import Texels, mirrored_gaussian, noise, smoothstep
 
 Point = tuple[float, float]
 
@@ -155,7 +155,7 @@ def strength(drivers: tuple[tuple[str, float], ...], side: str, values: dict[str
 
 
 @dataclass(frozen=True)
-class Patch:
+class FoldPatch:
     """The part of the height texture that one fold touches on one side.
 
     First row, first column, heights in m at full strength.
@@ -168,7 +168,7 @@ class Patch:
     heights: Float[ndarray, "A B"]
 
 
-def patches(texels: Texels) -> list[Patch]:
+def fold_patches(texels: Texels) -> list[FoldPatch]:
     """All folds as pieces of the height texture."""
     found = []
     front = texels.points[:, 2] > 0.0
@@ -184,7 +184,7 @@ def patches(texels: Texels) -> list[Patch]:
             rows, columns = texels.rows[heights != 0], texels.columns[heights != 0]
             canvas = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), np.float32)
             canvas[rows - rows.min(), columns - columns.min()] = heights[heights != 0]
-            found.append(Patch(fold, side, int(rows.min()), int(columns.min()), canvas))
+            found.append(FoldPatch(fold, side, int(rows.min()), int(columns.min()), canvas))
     return found
 
 
@@ -215,7 +215,7 @@ def _distance(points: ndarray, curve: ndarray) -> tuple[ndarray, ndarray]:
     return best, place
 
 
-def add_folds(height: Float[ndarray, "R R"], pieces: list[Patch], values: dict[str, float], age: float) -> None:
+def add_folds(height: Float[ndarray, "R R"], pieces: list[FoldPatch], values: dict[str, float], age: float) -> None:
     """Add every fold at its present strength to a height texture, in place."""
     for piece in pieces:
         amount = strength(piece.fold.drivers, piece.side, values) + age * piece.fold.rest
@@ -229,8 +229,10 @@ def bulge_fields(points: Float[ndarray, "V 3"], on_skin: ndarray) -> Float[ndarr
     fields = np.zeros((len(BULGES), 2, len(points), 3), np.float32)
     for index, item in enumerate(BULGES):
         for side, sign in enumerate((1.0, -1.0)):
-            own = step(-0.004, 0.004, points[:, 0] * sign) if item.center[0] > 0.008 else np.full(len(points), 0.5)
-            weight = bump(points, item.center, item.reach) * own * on_skin
+            own = (
+                smoothstep(-0.004, 0.004, points[:, 0] * sign) if item.center[0] > 0.008 else np.full(len(points), 0.5)
+            )
+            weight = mirrored_gaussian(points, item.center, item.reach) * own * on_skin
             fields[index, side] = weight[:, None] * (np.asarray(item.out) * (sign, 1, 1))
     return fields
 

@@ -20,7 +20,7 @@ def strand_colors(
     lights: Lights,
     shadow: Shadow,
 ) -> Float[ndarray, "S N 3"]:
-    """Linear colour of every node; `open_` is how much light reaches it through the other strands."""
+    """Linear color of every node; `open_` is how much light reaches it through the other strands."""
     colors = np.empty(nodes.shape, np.float32)
     single = (np.ascontiguousarray(values, np.float32) for values in (nodes, tones, open_))
     _light(*single, lights, shadow, colors)

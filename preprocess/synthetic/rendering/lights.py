@@ -1,4 +1,4 @@
-"""The room's lamps, the key light's shadow map, and how much sky every vertex sees."""
+"""The room's room_lights, the key light's shadow map, and how much sky every vertex sees."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SHADOW_CENTER = np.array([0.0, -0.03, -0.02])
 _FAR = 10.0
 
 
-def lamps() -> Lights:
+def room_lights() -> Lights:
     """A key light from the upper left, a weak fill from the right.
 
     A rim light from behind, a cool ceiling and a warm floor.
@@ -50,7 +50,7 @@ def shadow_map(points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], lights
     return Shadow(depth, to_map)
 
 
-def sky_share(
+def sky_visibility(
     points: Float[ndarray, "V 3"], normals: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], directions: int = 56
 ) -> Float[ndarray, " V"]:
     """Share of the hemisphere over every vertex that is open, weighted by the cosine: ambient occlusion."""

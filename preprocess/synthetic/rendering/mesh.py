@@ -36,7 +36,7 @@ class Visibility:
 def project(
     points: Float[ndarray, "V 3"], intrinsics: Float[ndarray, "3 3"], world_to_camera: Float[ndarray, "4 4"]
 ) -> Float[ndarray, "V 3"]:
-    """Pixel x, pixel y (centres at +0.5) and camera z in m of world points."""
+    """Pixel x, pixel y (centers at +0.5) and camera z in m of world points."""
     seen = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     depth = seen[:, 2]
     x = seen[:, 0] * intrinsics[0, 0] / depth + intrinsics[0, 2]
@@ -48,7 +48,7 @@ def rasterize(pixels: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], height:
     """The nearest triangle of every sample of an image of `height` × `width`.
 
     Args:
-        pixels: Position in samples (centres at +0.5) and camera z, m. Triangles nearer than 5 cm are left out.
+        pixels: Position in samples (centers at +0.5) and camera z, m. Triangles nearer than 5 cm are left out.
         faces: Vertex indices; both sides are drawn.
         height: Samples down.
         width: Samples across.

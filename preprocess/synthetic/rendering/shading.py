@@ -1,8 +1,8 @@
-"""Colour of every visible sample.
+"""Color of every visible sample.
 
 Textures, bumps, a shadowed key light, fill, rim and sky, skin that lets red light through, gloss.
 
-Directions and positions are in the room, colours linear. Kernels are single-threaded and release the interpreter lock.
+Directions and positions are in the room, colors linear. Kernels are single-threaded and release the interpreter lock.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Mesh(NamedTuple):
     material: ndarray
 
 
-class Look(NamedTuple):
+class Textures(NamedTuple):
     """Albedo textures [T, R, R, 3], heights [T, R, R] in m, and a row per material.
 
     Texture, roughness, gloss, scattering, mirror.
@@ -41,9 +41,9 @@ class Look(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Unit directions [L, 3] towards the lights and their colours [L.
+    """Unit directions [L, 3] towards the lights and their colors [L.
 
-    3] (the first one casts shadows), sky and ground colours, camera position.
+    3] (the first one casts shadows), sky and ground colors, camera position.
     """
 
     directions: ndarray
@@ -109,7 +109,7 @@ def _gloss(ndoth, ndotv, ndotl, vdoth, roughness):
 
 
 @inlined
-def _bumped(mesh, look, face, texture, u, v, normal):
+def _bumped(mesh, textures, face, texture, u, v, normal):
     """Normal after the height texture's slope, by the surface gradient of Mikkelsen (2010); returns x, y, z."""
     a, b, c = mesh.faces[face, 0], mesh.faces[face, 1], mesh.faces[face, 2]
     du1, dv1 = mesh.uv[face, 1, 0] - mesh.uv[face, 0, 0], mesh.uv[face, 1, 1] - mesh.uv[face, 0, 1]
@@ -128,7 +128,7 @@ def _bumped(mesh, look, face, texture, u, v, normal):
     det = ux * r1x + uy * r1y + uz * r1z
     if abs(det) < 1e-9:
         return nx, ny, nz
-    height = look.height[texture]
+    height = textures.height[texture]
     size = height.shape[0]
     x, y = u * size - 0.5, v * size - 0.5
     hu = (_bilinear(height, x + 0.75, y) - _bilinear(height, x - 0.75, y)) * size / 1.5
@@ -155,7 +155,7 @@ def _softbox(lights, rx, ry, rz):
 
 
 @kernel
-def shade(face, weights, mesh, look, lights, shadow, color):
+def shade(face, weights, mesh, textures, lights, shadow, color):
     """Fill `color` [H, W, 3] where `face` [H, W] is not −1; `weights` [H, W, 2] are barycentric."""
     out = np.zeros(4)
     for row in range(face.shape[0]):
@@ -163,7 +163,7 @@ def shade(face, weights, mesh, look, lights, shadow, color):
             index = face[row, column]
             if index < 0:
                 continue
-            _shade_sample(index, weights[row, column, 0], weights[row, column, 1], mesh, look, lights, shadow, out)
+            _shade_sample(index, weights[row, column, 0], weights[row, column, 1], mesh, textures, lights, shadow, out)
             color[row, column, 0], color[row, column, 1], color[row, column, 2] = out[0], out[1], out[2]
 
 
@@ -176,8 +176,8 @@ def _mixed(values, mesh, index, second, third, axis):
 
 
 @inlined
-def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
-    """Colour of one sample into `out`."""
+def _shade_sample(index, second, third, mesh, textures, lights, shadow, out):
+    """Color of one sample into `out`."""
     px, py, pz = (
         _mixed(mesh.points, mesh, index, second, third, 0),
         _mixed(mesh.points, mesh, index, second, third, 1),
@@ -196,11 +196,11 @@ def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
     first = 1.0 - second - third
     u = first * mesh.uv[index, 0, 0] + second * mesh.uv[index, 1, 0] + third * mesh.uv[index, 2, 0]
     v = first * mesh.uv[index, 0, 1] + second * mesh.uv[index, 1, 1] + third * mesh.uv[index, 2, 1]
-    material = look.materials[mesh.material[index]]
+    material = textures.materials[mesh.material[index]]
     texture = int(material[0])
     mirror = material[4]
     if mirror < 0.5:
-        nx, ny, nz = _bumped(mesh, look, index, texture, u, v, (nx, ny, nz))
+        nx, ny, nz = _bumped(mesh, textures, index, texture, u, v, (nx, ny, nz))
     facing = nx * vx + ny * vy + nz * vz
     if facing < 0:
         nx, ny, nz, facing = nx - 1.02 * facing * vx, ny - 1.02 * facing * vy, nz - 1.02 * facing * vz, 0.02
@@ -210,11 +210,11 @@ def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
     lit += (1 - lit) * max(material[3] - 1.0, 0.0) * 0.6
     _collect(material, lights, (nx, ny, nz), (vx, vy, vz), lit, occlusion, out)
     highlight = out[3]
-    size = look.albedo.shape[1]
+    size = textures.albedo.shape[1]
     x, y = u * size - 0.5, v * size - 0.5
     for channel in range(3):
         out[channel] = (
-            out[channel] * _bilinear(look.albedo[texture, :, :, channel], x, y)
+            out[channel] * _bilinear(textures.albedo[texture, :, :, channel], x, y)
             + highlight * lights.colors[0, channel] * 0.5
         )
     if mirror > 0:

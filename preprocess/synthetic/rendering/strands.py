@@ -21,7 +21,7 @@ class Strands:
 
     Attributes:
         pixels: Position in samples and camera z, m.
-        colors: Linear colour of every node.
+        colors: Linear color of every node.
         widths: Width in samples; lines thinner than a sample cover it in part.
     """
 
@@ -30,7 +30,7 @@ class Strands:
     widths: Float[ndarray, "S N"]
 
     def segments(self) -> Float[ndarray, "M 13"]:
-        """One row a segment: start, end, colour at the start, colour at the end, mean width."""
+        """One row a segment: start, end, color at the start, color at the end, mean width."""
         parts = (
             self.pixels[:, :-1],
             self.pixels[:, 1:],
@@ -41,7 +41,7 @@ class Strands:
         return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 13)
 
 
-def draw_strands(
+def rasterize_strands(
     strands: Sequence[Strands],
     depth: Float[ndarray, "H W"],
     color: Float[ndarray, "H W 3"],

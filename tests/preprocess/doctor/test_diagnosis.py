@@ -18,10 +18,10 @@ from ggavatar.head.files import load_head
 from ggavatar.io.images import image_header, write_png
 from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main as prep
-from preprocess.doctor.convention_test import rather_late
+from preprocess.doctor.convention_test import explained_by_frame_offset
 from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
 from preprocess.doctor.diagnosis import examine
-from preprocess.doctor.letterbox import black_bars, cut_off
+from preprocess.doctor.letterbox import black_bars, crop_flags
 from preprocess.synthetic.demo import Settings, write_demo
 
 SIZE, FRAMES = 128, 56
@@ -106,10 +106,10 @@ def test_a_late_head_is_not_taken_for_a_turned_one(capture, head):
     """Silhouettes alone took subject 4, two frames late, for transposed (IoU 0.83 against 0.81)."""
     transposed = FIXES["transposed"]
     late = dataclasses.replace(capture, tracking=capture.tracking.rows(np.clip(np.arange(FRAMES) + 2, 0, FRAMES - 1)))
-    assert rather_late(late, head, transposed)
+    assert explained_by_frame_offset(late, head, transposed)
     wrong = transposed.correct(capture.tracking, capture.width, capture.height)
-    assert not rather_late(dataclasses.replace(capture, tracking=wrong), head, transposed)
-    assert not rather_late(late, head, FIXES["centre"]), "says nothing about lenses"
+    assert not explained_by_frame_offset(dataclasses.replace(capture, tracking=wrong), head, transposed)
+    assert not explained_by_frame_offset(late, head, FIXES["centre"]), "says nothing about lenses"
 
 
 @pytest.mark.parametrize("factor", sorted_by_need([2.0, 0.5, 450 / 512], {2.0}))
@@ -162,12 +162,12 @@ def test_black_bars_that_count_as_person_are_named(folder, tmp_path, side):
     assert bars._asdict() == {name: thick * (name == side) for name in bars._fields}
     corner = {"left": (9, 4), "top": (4, 9), "right": (0, 4), "bottom": (4, 0)}[side]
     rest = SIZE - thick
-    assert cut_off(capture, bars) == f"--resume --crop {corner[0]},{corner[1]},{rest},{rest}"
+    assert crop_flags(capture, bars) == f"--resume --crop {corner[0]},{corner[1]},{rest},{rest}"
 
 
 def test_our_own_tracking_is_in_our_own_convention(capture, head, monkeypatch):
     """What a head that hardly moves seems to tell of conventions counts for imported tracking only."""
-    monkeypatch.setattr("preprocess.doctor.diagnosis.rivals", lambda *_: FIXES["centre"])
+    monkeypatch.setattr("preprocess.doctor.diagnosis.photometric_alternative", lambda *_: FIXES["centre"])
     assert [finding.code for finding in faults(capture, head)] == ["centre"]
     ours = dataclasses.replace(capture, source={**capture.source, "tracking": {"tracker": "built-in"}})
     assert not faults(ours, head)

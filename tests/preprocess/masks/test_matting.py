@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import AHEAD, cores
-from preprocess.masks.cleanup import only_person, to_mask
+from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
 from preprocess.masks.matting import SelfieMatting, open_matting
 
 
@@ -56,7 +56,7 @@ def test_short_clips(count):
 
 def test_still_pictures_get_steadier():
     pictures = [disc(32)] * 12
-    raw = [to_mask(Known(0.2, calls).coverage(disc(32)), 64, 64) for calls in range(12)]
+    raw = [coverage_to_mask(Known(0.2, calls).coverage(disc(32)), 64, 64) for calls in range(12)]
     steady = list(SelfieMatting(Known(0.2)).masks(pictures))
     inside = np.s_[24:40, 24:40]
     flicker = [np.abs(np.diff(np.array(masks, float)[:, *inside], axis=0)).mean() for masks in (raw, steady)]
@@ -87,10 +87,10 @@ def test_only_the_largest_part_stays():
     mask[generator.integers(0, 15, 20), generator.integers(95, 119, 20)] = 255
     labels, _ = ndimage.label(mask > 16, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
-    found = only_person(mask)
+    found = keep_largest_component(mask)
     expected = labels == 1 + np.argmax(sizes)
     assert np.array_equal(found > 16, expected | (np.indices(mask.shape) == 50).all(axis=0))
-    assert not only_person(np.zeros((9, 9), np.uint8)).any()
+    assert not keep_largest_component(np.zeros((9, 9), np.uint8)).any()
 
 
 def test_unknown_masks():

@@ -17,9 +17,9 @@ from ggavatar.geometry.transforms import rotation_6d_to_matrix
 from ggavatar.head.files import load_head
 from ggavatar.head.procedural.model import procedural_names
 from preprocess.cli import demo as cli
-from preprocess.synthetic.animation.motion import GESTURES, VISEMES, Motion, perform
+from preprocess.synthetic.animation.motion import GESTURES, VISEMES, Performance, perform
 from preprocess.synthetic.demo import Settings, true_tracking, write_demo
-from preprocess.synthetic.output_folder import claim
+from preprocess.synthetic.output_folder import prepare_demo_folder
 from preprocess.synthetic.rendering import room
 from preprocess.synthetic.rendering.mesh import project, rasterize
 from preprocess.synthetic.tracker_files import disturbed, frame_record
@@ -52,7 +52,7 @@ def read_frame(path: Path) -> dict:
 
 
 @pytest.fixture(scope="module")
-def motion() -> Motion:
+def motion() -> Performance:
     return perform(NAMES, 600, 1)
 
 
@@ -186,11 +186,11 @@ def test_a_folder_with_files_is_refused_and_only_own_files_are_replaced(tmp_path
     (folder / "masks" / "00009.png").write_bytes(b"mine")
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="--overwrite"):
-        claim(folder, overwrite=False)
+        prepare_demo_folder(folder, overwrite=False)
     (folder / "demo.json").write_text('{"files": ["masks/00000.png", "../outside.txt"]}')
     (folder / "masks" / "00000.png").write_bytes(b"demo")
     (tmp_path / "outside.txt").write_text("mine")
-    claim(folder, overwrite=True)
+    prepare_demo_folder(folder, overwrite=True)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*"))
     assert left == ["outside.txt", "used/demo.json", "used/masks/00009.png", "used/notes.txt"]
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
-from preprocess.video.crop import Crop, crop_from_json, explicit, square, square_around, whole_frame
+from preprocess.video.crop import Crop, crop_from_json, explicit_crop, square, square_around, whole_frame
 
 
 def place_picture(width, height):
@@ -78,8 +78,8 @@ def test_square_around_keeps_heads():
 )
 def test_senseless_crops(text):
     with pytest.raises(InputError, match="--crop"):
-        explicit(text, 1000, 800, 512)
+        explicit_crop(text, 1000, 800, 512)
 
 
 def test_explicit_crop():
-    assert explicit("-10,20,400,200", 1000, 800, 512) == Crop(-10, 20, 400, 200, 512, 256)
+    assert explicit_crop("-10,20,400,200", 1000, 800, 512) == Crop(-10, 20, 400, 200, 512, 256)

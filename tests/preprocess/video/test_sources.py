@@ -170,7 +170,7 @@ def test_ten_bit_hevc(tmp_path):
 
 
 def test_interlaced_pictures_lose_their_combs(tmp_path):
-    """A bright bar moves between the fields of a frame; after decoding, neighbouring rows agree again."""
+    """A bright bar moves between the fields of a frame; after decoding, neighboring rows agree again."""
     path = tmp_path / "v.avi"
     with av.open(str(path), "w") as container:
         stream = container.add_stream("mpeg2video", rate=25, options={"flags": "+ildct+ilme", "b": "4M"})

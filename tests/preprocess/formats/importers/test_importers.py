@@ -240,8 +240,8 @@ def test_nan_names_the_frame(tmp_path):
 
 
 def test_options_swap_the_size(tmp_path):
-    from preprocess.formats.registry import read_foreign
+    from preprocess.formats.registry import read_tracking_record
 
     folder = written("metrical_tracker", tmp_path, moving_record(2, (128, 96)))
     options = PrepOptions(tmp_path, tmp_path / "o", tracking=folder, fix=("swapped-size",))
-    assert (read_foreign(options)[1].width, read_foreign(options)[1].height) == (96, 128)
+    assert (read_tracking_record(options)[1].width, read_tracking_record(options)[1].height) == (96, 128)
