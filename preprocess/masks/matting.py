@@ -1,7 +1,4 @@
-"""Soft foreground masks for a clip.
-
-A network's coverage, average_over_time over time, reduced to the person and given a crisp edge.
-"""
+"""Soft foreground masks for a clip: network coverage, smoothed over time, reduced to one person, edges sharpened."""
 
 from __future__ import annotations
 
@@ -20,45 +17,42 @@ from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
 from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
-"""The network's coverage reaches a little too far.
+"""Coverage level that becomes 0.5, and contrast around it: the network's coverage extends slightly too far.
 
 Measured against a chroma key in docs/experiments/2026-11-22-mask-quality-and-frame-offsets.md.
 """
 
 STILL_DIFFERENCE = 0.03
-"""Difference between neighboring frames, in [0, 1].
-
-Below which a pixel counts as still and its coverage is averaged over time.
-"""
+"""Difference between neighboring frames, in [0, 1], below which a pixel's coverage is averaged over time."""
 
 _CHANNEL_MEAN = np.full((1, 3), 1 / 3, np.float32)
-"""Of three channels, as a matrix."""
+"""Mean of three channels as a matrix."""
 
 
 @runtime_checkable
 class Matting(Protocol):
-    """A way to make masks for a whole clip."""
+    """A method that makes masks for a whole clip."""
 
     @property
     def name(self) -> str:
-        """For provenance."""
+        """Name in the capture's provenance."""
         ...
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know about masks of this kind."""
+        """Known weaknesses of these masks, for the user."""
         ...
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """8-bit masks of the clip's images, in order and of their size; a few images are held at a time."""
+        """8-bit masks of the clip's images, in order and of the same size; only a few images are held at a time."""
         ...
 
 
 def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
-    """The matting for `--masks`: auto and selfie use the network, grabcut needs none, a file is the user's RVM.
+    """The matting method for `--masks`: auto and selfie use our network, grabcut none, a file the user's RVM.
 
     Raises:
-        InputError: No such file, or a file that is no such network.
+        InputError: No such file, or not an RVM network.
     """
     if wanted in ("auto", "selfie"):
         from ggavatar.pretrained.catalogue import resolve
@@ -78,24 +72,24 @@ def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
 
 @dataclass(frozen=True)
 class VideoMatting:
-    """A video network's own alpha, taken as it is."""
+    """A video matting network's alpha, unchanged."""
 
     network: MaskNetwork
     name: str
     warnings: tuple[str, ...] = ()
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """Alpha of each image, 8 bits."""
+        """The alpha of every image as an 8-bit mask."""
         for image in images:
             yield coverage_to_mask(self.network.coverage(image), image.shape[1], image.shape[0])
 
 
 @dataclass(frozen=True)
 class SelfieMatting:
-    """Selfie segmentation of single images, made steady.
+    """Selfie segmentation of single images, smoothed over time.
 
-    Every second image is seen mirrored: averaged over time, that is as accurate as looking twice at each and costs
-    half.
+    Every second image is mirrored for the network: averaged over time, that is as accurate as running the network on
+    each image and its mirror image, at half the cost.
     """
 
     network: MaskNetwork
@@ -103,13 +97,13 @@ class SelfieMatting:
     warnings: tuple[str, ...] = ()
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """Masks with one image of look-ahead; threads finish some while the network sees others."""
+        """Masks with one image of look-ahead; threads post-process some while the network works on others."""
         return ordered_map(lambda three: _final_mask(*three), self._with_neighbors(images))
 
     def _with_neighbors(
         self, images: Iterable[np.ndarray]
     ) -> Iterator[tuple[_Observation | None, _Observation, _Observation | None]]:
-        """Every image as it is seen, between the one before and the one after."""
+        """Every observation with the one before and the one after."""
         past: _Observation | None = None
         now: _Observation | None = None
         for index, image in enumerate(images):
@@ -129,27 +123,27 @@ class SelfieMatting:
 
 @dataclass(frozen=True)
 class _Observation:
-    """Coverage and look of one image at the network's resolution, and the image's size."""
+    """Coverage and colors of one image at the network's resolution, and the image's size in px."""
 
     coverage: Float[np.ndarray, "h w"]
-    look: Float[np.ndarray, "h w 3"]
+    colors: Float[np.ndarray, "h w 3"]
     width: int
     height: int
 
 
 def _final_mask(past: _Observation | None, now: _Observation, ahead: _Observation | None) -> UInt8[np.ndarray, "H W"]:
     """The mask of one image."""
-    steady = average_over_time(now, [other for other in (past, ahead) if other is not None])
-    wide = cv2.resize(steady, (now.width, now.height), interpolation=cv2.INTER_LINEAR)
-    return keep_largest_component(coverage_to_mask((wide - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
+    smooth = average_over_time(now, [other for other in (past, ahead) if other is not None])
+    large = cv2.resize(smooth, (now.width, now.height), interpolation=cv2.INTER_LINEAR)
+    return keep_largest_component(coverage_to_mask((large - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
 
 
 def average_over_time(now: _Observation, others: list[_Observation]) -> Float[np.ndarray, "h w"]:
-    """Coverage averaged with the neighboring images' where the picture stands still; where it moves, its own."""
+    """Coverage averaged with the neighboring images' where nothing moves, and the image's own where something does."""
     total, weight = now.coverage.copy(), np.ones_like(now.coverage)
     for other in others:
-        difference = cv2.blur(cv2.transform(cv2.absdiff(other.look, now.look), _CHANNEL_MEAN), (3, 3))
-        share = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
-        total += share * other.coverage
-        weight += share
+        difference = cv2.blur(cv2.transform(cv2.absdiff(other.colors, now.colors), _CHANNEL_MEAN), (3, 3))
+        similarity = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
+        total += similarity * other.coverage
+        weight += similarity
     return total / weight

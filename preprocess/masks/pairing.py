@@ -1,4 +1,4 @@
-"""Which of the user's masks belongs to which frame: by number, and where numbers leave a choice, by edges."""
+"""Pairing of the user's masks with frames: by number, and where several offsets fit the numbers, by image edges."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 FRAMES = 32
 SIDE = 256
 MIN_RELATIVE_LEAD = 0.02
-"""By how much (relative) another offset must beat the one that numbers suggest."""
+"""Relative lead in edge strength that another offset needs over the one that the numbers suggest."""
 
 
 def find_mask_offset(
@@ -20,17 +20,16 @@ def find_mask_offset(
     image: Callable[[int], np.ndarray],
     mask: Callable[[Path], np.ndarray],
 ) -> int:
-    """Mask number minus frame number.
+    """The offset between masks and frames: mask number minus frame number.
 
     Args:
         numbers: Source frame numbers.
-        files: The masks by their own numbers.
-        image: Reads a frame at the capture's size.
+        files: Mask files by their own numbers.
+        image: Reads a frame's image at the capture's size.
         mask: Reads a mask at the capture's size.
 
     Returns:
-        The offset that gives most frames a mask; between equals (masks beyond both ends), the one whose outlines lie
-        on image edges.
+        The offset that gives the most frames a mask; among equals, the one whose mask outlines lie on image edges.
     """
     offsets = sorted({0, 1, -1, min(files) - numbers[0]}, key=abs)
     counts = {offset: sum(number + offset in files for number in numbers) for offset in offsets}
@@ -50,7 +49,7 @@ def find_mask_offset(
 
 
 def _edges(image: np.ndarray) -> np.ndarray:
-    """Strength of the image's edges, on a small picture."""
+    """Edge strength of the image at reduced size."""
     gray = cv2.cvtColor(cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(
         np.float32
     )

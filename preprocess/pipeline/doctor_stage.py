@@ -12,7 +12,7 @@ from preprocess.pipeline.stage import Stage, StageContext
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """Only what the stages before have made."""
+    """Nothing but the results of the earlier stages."""
     return {}
 
 

@@ -1,4 +1,4 @@
-"""Third stage: a soft foreground mask for every image, from the user's files or from a network."""
+"""Third stage: a soft foreground mask for every image, from the user's files, a network or GrabCut."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ from preprocess.video.crop import Crop, crop_from_json
 from preprocess.video.image_folder import numbered_images
 
 KINDS = ("auto", "selfie", "grabcut")
-NETWORK_FILES = frozenset({".onnx", ".torchscript", ".pt", ".pth"})
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """The kind of masks, or the files they come from."""
+    """The kind of masks, or the state of the files they come from."""
     return {"masks": options.masks if options.masks in KINDS else file_state(Path(options.masks))}
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write `masks/%06d.png` for every image; the result lists the frames that have one."""
+    """Write `masks/%06d.png`; the result lists the frames that have a mask."""
     (context.folder / "masks").mkdir(parents=True, exist_ok=True)
     wanted = context.options.masks
     if wanted not in KINDS and Path(wanted).is_dir():
@@ -35,12 +34,14 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
 
 def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
-    """Masks the user has, paired by number."""
+    """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
     numbers, files = list(context.results["frames"]["numbers"]), numbered_images(folder)
     if not files:
-        raise InputError(f"{folder}: no PNG or JPEG masks in this folder")
+        raise InputError(
+            f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
+        )
     crop, size = crop_from_json(dict(context.results["crop"]["crop"])), _source_size(context)
 
     def image(number: int) -> np.ndarray:
@@ -61,23 +62,24 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
 
 
 def _report_missing(context: StageContext, folder: Path, wanted: int, found: int, offset: int) -> None:
-    """Say what is missing; too much of it is an error."""
+    """Warn about an offset and missing masks; raise if most are missing or with `--strict`."""
     if offset:
-        context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, as the pictures' edges show")
+        context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, judging by the edges in the images")
     if found == wanted:
         return
     message = f"{folder}: {wanted - found} of {wanted} frames have no mask"
     if found < 2 or found < wanted // 2:
-        raise InputError(f"{message}; expected one PNG or JPEG a frame with its number in the name")
+        raise InputError(f"{message}; expected one PNG or JPEG file per frame with the frame number in its name")
     if context.options.strict:
         raise GateError(f"{message} (--strict)")
     context.reporter.warn(f"{message} and are left out")
 
 
 def fitted_mask(path: Path, crop: Crop, source_size: tuple[int, int]) -> np.ndarray:
-    """A mask as part of the capture.
+    """A mask at the capture's size: cropped like the images if it has the source's size, else taken as it is.
 
-    Cropped like the images if it has the source's size, taken as it is if it has the capture's.
+    Raises:
+        InputError: The mask has neither the source's size nor the capture's.
     """
     header = image_header(path)
     found = (header.width, header.height)
@@ -97,7 +99,7 @@ def _source_size(context: StageContext) -> tuple[int, int]:
 
 
 def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
-    """Masks from a network or from GrabCut, one frame after the other."""
+    """Masks from a network or GrabCut, frame by frame."""
     from preprocess.masks.matting import open_matting
 
     numbers = list(context.results["frames"]["numbers"])

@@ -1,7 +1,4 @@
-"""Fifth stage: what makes the folder a capture.
-
-Splits and capture.json are written last and checked by opening the capture.
-"""
+"""Fifth stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ def _split_files(options: PrepOptions) -> list[Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write capture.json and remove pictures of frames that were lost on the way."""
+    """Write capture.json and remove images and masks of dropped frames."""
     source, crop = context.results["frames"], context.results["crop"]["crop"]
     numbers, tracked = tuple(source["numbers"]), context.results["tracking"]
     frames = tuple(tracked["numbers"])
@@ -55,7 +52,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
 
 def _dropped(numbers: tuple[int, ...], context: StageContext) -> tuple[dict[str, Any], ...]:
-    """Frames that did not make it, with the reason."""
+    """Dropped frames with the reason."""
     masked, tracked = set(context.results["masks"]["numbers"]), set(context.results["tracking"]["numbers"])
     lost = []
     for number in numbers:
@@ -67,7 +64,7 @@ def _dropped(numbers: tuple[int, ...], context: StageContext) -> tuple[dict[str,
 
 
 def _provenance(context: StageContext) -> dict[str, Any]:
-    """Where the capture came from."""
+    """Provenance of the capture."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -1,4 +1,4 @@
-"""Fourth stage: cameras and head parameters, imported from another tracker or found by our own."""
+"""Fourth stage: cameras and head parameters, imported from another tracker or found by the built-in one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from preprocess.video.crop import crop_from_json
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """The tracking and the head model, or the built-in tracker's options."""
+    """State of the tracking and the head model, and the tracker's options."""
     if options.tracking is not None:
         _head_path(options)
     return {
@@ -42,7 +42,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write tracking.npz and head.npz; the result says which frames they cover and where they came from."""
+    """Write tracking.npz and head.npz; the result lists the frames they cover and reports where they came from."""
     from ggavatar.head.files import save_head
 
     numbers = list(context.results["masks"]["numbers"])
@@ -58,19 +58,19 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
 
 def _tracked(context: StageContext, numbers: list[int]) -> TrackedSequence:
-    """Our own tracker, reading one image at a time."""
+    """The built-in tracker's result; images are read one at a time."""
     from preprocess.tracking.tracker import track
 
     images = ImagesOnDisk(context, "images", numbers, read_rgb)
     masks = ImagesOnDisk(context, "masks", numbers, read_gray)
     source, crop = context.results["frames"], crop_from_json(dict(context.results["crop"]["crop"]))
-    middle = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
-    center = crop.intrinsics(middle)[:2, 2]
+    centered = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
+    center = crop.intrinsics(centered)[:2, 2]
     return track(images, masks, float(source["fps"]), context.options, (float(center[0]), float(center[1])))
 
 
 class ImagesOnDisk(Sequence[np.ndarray]):
-    """The clip's images or masks, each read when it is asked for; reading images shows as progress."""
+    """The clip's images or masks, each read on access; every access reports progress."""
 
     def __init__(
         self, context: StageContext, folder: str, numbers: Sequence[int], read: Callable[[Path], np.ndarray]
@@ -90,13 +90,13 @@ class ImagesOnDisk(Sequence[np.ndarray]):
     def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
         if isinstance(index, slice):
             return [self._read(path) for path in self._paths[index]]
-        picture = self._read(self._paths[index])
+        image = self._read(self._paths[index])
         self._reporter.advance(index % len(self) + 1, len(self))
-        return picture
+        return image
 
 
 def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
-    """Another tracker's output: fitted to the head, moved to the capture's pixels and paired with its frames."""
+    """Another tracker's output, fitted to the head, converted to the capture's pixels and paired with its frames."""
     options = context.options
     name, record = read_tracking_record(options)
     head, version_note = _head(options, record)
@@ -110,8 +110,8 @@ def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], Tra
     kept = [number for number in numbers if number - offset in row_of]
     if len(kept) < 2:
         raise InputError(
-            f"{options.tracking}: covers {len(kept)} of the video's {len(numbers)} frames; is it another video's "
-            "tracking?"
+            f"{options.tracking}: expected tracking for the video's {len(numbers)} frames, found it for {len(kept)}; "
+            "check that it belongs to this video"
         )
     rows = np.array([row_of[number - offset] for number in kept])
     found = with_torso(context, head, tracking.rows(rows), kept)
@@ -122,7 +122,7 @@ def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], Tra
 
 
 def with_torso(context: StageContext, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
-    """The tracking with the torso's own motion, which other trackers do not tell."""
+    """The tracking with the torso's own motion, which other trackers do not estimate."""
     images = ImagesOnDisk(context, "images", numbers, read_rgb)
     masks = ImagesOnDisk(context, "masks", numbers, read_gray)
     torso = followed_torso(head, tracking, images, masks, float(context.results["frames"]["fps"]))
@@ -133,8 +133,8 @@ def _warnings(record: TrackingRecord, pairing: Mapping[str, Any], lost: int) -> 
     warnings = list(record.notes)
     if pairing.get("offset") != pairing.get("suggested"):
         warnings.append(
-            f"frame k of the tracking belongs to frame k{pairing['offset']:+d} of the video, as the picture under "
-            "the mesh shows"
+            f"frame k of the tracking belongs to frame k{pairing['offset']:+d} of the video, judging by the image "
+            "under the mesh"
         )
     if lost:
         warnings.append(f"{lost} frames have no tracking and are left out")
@@ -144,10 +144,10 @@ def _warnings(record: TrackingRecord, pairing: Mapping[str, Any], lost: int) -> 
 def _offset(
     context: StageContext, head: Any, tracking: Tracking, known: list[int], numbers: list[int]
 ) -> tuple[int, dict[str, Any]]:
-    """The frame offset asked for, or found by comparing pictures."""
-    asked = context.options.frame_offset
-    if asked is not None:
-        return asked, {"offset": asked, "suggested": asked, "scores": {}}
+    """The frame offset that `--frame-offset` gives, or the one found by comparing images, and its report."""
+    given = context.options.frame_offset
+    if given is not None:
+        return given, {"offset": given, "suggested": given, "scores": {}}
 
     def image(number: int) -> np.ndarray:
         return read_rgb(context.folder / "images" / f"{number:06d}.png")
@@ -168,27 +168,26 @@ def _head(options: PrepOptions, record: TrackingRecord) -> tuple[Any, list[str]]
     head = with_static_offset(load_flame(path, record.shape, expressions=max(1, record.expression.shape[1])), record)
     if record.version is not None and head.version != record.version:
         raise InputError(
-            f"{path} is {head.version}, but the tracking's coefficients belong to {record.version}; they are not "
-            "interchangeable. "
-            f"Give the {record.version} file with --head-model"
+            f"{path}: expected {record.version}, which the tracking's coefficients belong to, found {head.version}; "
+            f"give the {record.version} file with --head-model"
         )
     return head, []
 
 
 def _head_path(options: PrepOptions) -> Path:
-    """The head model of an imported tracking, which must be there before anything is begun."""
+    """The path of the head model of an imported tracking, checked to exist."""
     path = options.head_model
     if path is None:
         raise InputError("--tracking needs --head-model: FLAME's generic_model.pkl or flame2023.pkl, or a head.npz")
     if not path.is_file():
-        raise InputError(f"{path}: no such head model file")
+        raise InputError(f"{path}: no such head model file; check --head-model")
     return path
 
 
 def with_static_offset(head: HeadModel, record: TrackingRecord) -> HeadModel:
-    """The head with the tracker's per-vertex offsets (VHAP) folded into its template.
+    """The head with the tracker's static per-vertex offsets (VHAP) added to its template.
 
-    Vertices FLAME does not have are left out.
+    Offsets of vertices that the head does not have are left out.
     """
     offset = record.extra.get("static_offset")
     if offset is None:
@@ -202,7 +201,7 @@ def with_static_offset(head: HeadModel, record: TrackingRecord) -> HeadModel:
 def to_tracking(
     record: TrackingRecord, expressions: int, joint_names: tuple[str, ...], context: StageContext
 ) -> Tracking:
-    """A foreign record as tracking of the capture: padded to the head's sizes, intrinsics in px of the capture."""
+    """A tracking record as the capture's tracking: padded to the head's sizes, intrinsics in px of the capture."""
     crop, source = crop_from_json(dict(context.results["crop"]["crop"])), context.results["frames"]
     scale = np.diag([source["width"] / record.width, source["height"] / record.height, 1.0])
     joints = np.zeros((len(record.numbers), len(joint_names), 3))
@@ -219,7 +218,11 @@ def to_tracking(
 
 
 def nearest_rigid(poses: np.ndarray) -> np.ndarray:
-    """Poses whose rotations, stored in single precision, are made exactly orthonormal."""
+    """Rigid poses with their rotations, stored in single precision, projected to the nearest rotations by SVD.
+
+    scipy's `Rotation.from_matrix` goes through quaternions and differs in the last bits; `scipy.linalg.polar` does the
+    same SVD for one matrix at a time, 8 times slower.
+    """
     left, _, right = np.linalg.svd(poses[:, :3, :3])
     result = poses.copy()
     result[:, :3, :3] = left @ right
@@ -227,11 +230,15 @@ def nearest_rigid(poses: np.ndarray) -> np.ndarray:
 
 
 def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
-    """Coefficients padded with zeros or cut; cutting anything but zeros is an error."""
+    """Coefficients padded with zeros or truncated to `count` columns.
+
+    Raises:
+        InputError: A truncated coefficient is not zero.
+    """
     if np.any(values[:, count:]):
         raise InputError(
-            f"the tracking uses {values.shape[1]} expression coefficients, the head model has {count}; "
-            "give the head model that the tracking was made with"
+            f"expected at most {count} expression coefficients as in the head model, found {values.shape[1]} in the "
+            "tracking; give the head model that it was made with"
         )
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 

@@ -5,7 +5,6 @@ Video, mattes, tracking, head and truth, with a list of what was written so that
 
 from __future__ import annotations
 
-import json
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +16,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import read_json, write_json
 
 MANIFEST = "demo.json"
 
@@ -89,7 +89,7 @@ def prepare_demo_folder(folder: Path, *, overwrite: bool) -> None:
             f"expected a new or empty folder, found files in {folder}; choose another one with -o or add --overwrite"
         )
     listed = folder / MANIFEST
-    names = json.loads(listed.read_text("utf-8")).get("files", []) if listed.is_file() else []
+    names = read_json(listed).get("files", []) if listed.is_file() else []
     for name in names:
         path = folder / name
         if path.resolve().is_relative_to(folder.resolve()) and path.is_file():
@@ -100,6 +100,4 @@ def write_manifest(folder: Path, settings: dict, frames: int) -> None:
     """List the files of this demo and the settings that made them."""
     files = ["video.mp4", "head.npz", "truth.npz", "README.txt", MANIFEST]
     files += [f"masks/{k:05d}.png" for k in range(frames)] + [f"tracking/{k:05d}.frame" for k in range(frames)]
-    (folder / MANIFEST).write_text(
-        json.dumps({"settings": settings, "files": files}, indent=1) + "\n", encoding="utf-8"
-    )
+    write_json(folder / MANIFEST, {"settings": settings, "files": files})

@@ -10,7 +10,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from preprocess.synthetic.animation.hair_motion import lagging_poses, swing_hair
 from preprocess.synthetic.animation.motion import Performance
-from preprocess.synthetic.animation.performance import Pose, pose, sticky_lips
+from preprocess.synthetic.animation.performance import PosedGeometry, pose_character, sticky_lips
 from preprocess.synthetic.person.character import LENS, MOUTH, Character, build_character
 from preprocess.synthetic.person.texture_space import to_linear, to_srgb
 from preprocess.synthetic.person.wrinkles import add_folds
@@ -27,16 +27,16 @@ _EXPOSURE = 1.0
 
 
 class Studio:
-    """A subject, its performance, the room and its camera; `draw` may be called from several threads."""
+    """A subject, its performance, the room and its camera; `render` may be called from several threads."""
 
-    def __init__(self, number: int, motion: Performance, size: int, background: str) -> None:
+    def __init__(self, number: int, performance: Performance, size: int, background: str) -> None:
         self._character = build_character(number)
-        self._motion, self._size = motion, size
+        self._performance, self._size = performance, size
         self._lips = sticky_lips(self._character.head, procedural_head().template.numpy().astype(np.float64))
         self._lights = room_lights()
         self._background = backdrop(background, size, self._character.person.wall, number)
         hair = self._character.person.hair
-        self._lags = lagging_poses(motion.head_to_room, 0.65 if hair.length > 0.1 else 0.0)
+        self._lags = lagging_poses(performance.head_to_room, 0.65 if hair.length > 0.1 else 0.0)
         self._faces, self._uv, self._material = _joined(self._character)
         self._hair_color = to_linear(np.asarray(hair.color))[None] * self._character.scalp_hair.tone[:, None].astype(
             np.float32
@@ -52,9 +52,9 @@ class Studio:
         """Its identity coefficients."""
         return self._character.identity
 
-    def draw(self, index: int) -> tuple[UInt8[ndarray, "H W 3"], Float[ndarray, "H W"]]:
+    def render(self, index: int) -> tuple[UInt8[ndarray, "H W 3"], Float[ndarray, "H W"]]:
         """One frame on its background, 8-bit sRGB, and the coverage of the person in [0, 1]."""
-        geometry = pose(self._character, self._lips, self._motion, index)
+        geometry = pose_character(self._character, self._lips, self._performance, index)
         points = np.concatenate((geometry.head, geometry.torso, geometry.accessory))
         shadow = shadow_map(points, self._faces, self._lights)
         color, alpha, depth = self._surfaces(points, geometry, shadow)
@@ -62,7 +62,7 @@ class Studio:
         self._glass(geometry, shadow, color, depth)
         return self._composite(color, alpha)
 
-    def _surfaces(self, points: ndarray, geometry: Pose, shadow: Shadow) -> tuple[ndarray, ndarray, ndarray]:
+    def _surfaces(self, points: ndarray, geometry: PosedGeometry, shadow: Shadow) -> tuple[ndarray, ndarray, ndarray]:
         """Premultiplied color, coverage and depth of all opaque surfaces, in samples."""
         side = self._size * _SUPERSAMPLING
         seen = rasterize(project(points, room.intrinsics(side), room.room_to_camera()), self._faces, side, side)
@@ -78,7 +78,7 @@ class Studio:
         shade(seen.face, seen.weights, mesh, self._textures(geometry), self._lights, shadow, color)
         return color, (seen.face >= 0).astype(np.float32), seen.depth
 
-    def _sky_visibility(self, geometry: Pose) -> Float[ndarray, "V 1"]:
+    def _sky_visibility(self, geometry: PosedGeometry) -> Float[ndarray, "V 1"]:
         """Baked occlusion.
 
         In the mouth it depends on how far the lips are apart and how deep a point lies behind them.
@@ -91,14 +91,14 @@ class Studio:
         open_sky[inside] = np.clip((opening + 0.0008) / (opening + 0.0008 + 0.35 * depth), 0.02, 1.0)
         return open_sky[:, None]
 
-    def _textures(self, geometry: Pose) -> Textures:
+    def _textures(self, geometry: PosedGeometry) -> Textures:
         """Textures of this frame: the head's relief with its present folds."""
         relief = self._character.relief.copy()
         add_folds(relief[0], self._character.folds, geometry.values, self._character.person.skin.age)
         return Textures(self._character.albedo, relief, self._character.materials)
 
     def _strands(
-        self, geometry: Pose, index: int, shadow: Shadow, color: ndarray, alpha: ndarray, depth: ndarray
+        self, geometry: PosedGeometry, index: int, shadow: Shadow, color: ndarray, alpha: ndarray, depth: ndarray
     ) -> None:
         """Brows, lashes, beard and hair over the surfaces, in place."""
         side = self._size * _SUPERSAMPLING
@@ -107,7 +107,7 @@ class Studio:
             (item.posed(geometry.head), item.colors, item.widths, np.full(item.local.shape[:2], 0.85))
             for item in self._character.short_hair
         ]
-        nodes = swing_hair(scalp_hair.nodes, self._motion.head_to_room[index], self._lags[:, index], hair.flex)
+        nodes = swing_hair(scalp_hair.nodes, self._performance.head_to_room[index], self._lags[:, index], hair.flex)
         parts.append((nodes, self._hair_color, np.full(len(nodes), hair.width), scalp_hair.depth))
         strands = []
         for nodes, tones, widths, open_ in parts:
@@ -117,7 +117,7 @@ class Studio:
             strands.append(Strands(pixels, strand_colors(nodes, tones, open_, self._lights, shadow), size))
         rasterize_strands(strands, depth, color, alpha)
 
-    def _glass(self, geometry: Pose, shadow: Shadow, color: ndarray, depth: ndarray) -> None:
+    def _glass(self, geometry: PosedGeometry, shadow: Shadow, color: ndarray, depth: ndarray) -> None:
         """Lenses: a slight tint and the lamp's reflection, in place."""
         lens = self._character.lens
         if not len(lens.faces):

@@ -52,10 +52,10 @@ def test_pose_moves_between_camera_and_flame():
         np.testing.assert_allclose(pixels(turned, row), pixels(still, row), atol=1e-3)
 
 
-def test_turned_neck_is_refused():
+def test_rotated_neck_is_refused():
     record = moving_record(2)
     record.joint_rotations[:, 1, 1] = 0.3
-    with pytest.raises(InputError, match="neck is turned"):
+    with pytest.raises(InputError, match="neck joint is rotated"):
         with_pose_in_camera(record, ball_head())
 
 
@@ -64,9 +64,9 @@ def test_principal_point_is_centred_with_the_pixels():
     record.intrinsics[:, 0, 2] += 5
     found, crop = center_principal_point(record)
     assert abs(found.intrinsics[0, 0, 2] - 48) <= 0.5 and abs(found.intrinsics[0, 1, 2] - 40) <= 0.5
-    picture = np.zeros((80, 96, 3), np.uint8)
-    picture[30, 50] = 255
-    assert crop.image(picture)[30 - crop.y, 50 - crop.x, 0] == 255
+    image = np.zeros((80, 96, 3), np.uint8)
+    image[30, 50] = 255
+    assert crop.image(image)[30 - crop.y, 50 - crop.x, 0] == 255
 
 
 def test_gaussian_avatars_layout(capture, tmp_path):
@@ -89,7 +89,7 @@ def test_flash_avatar_layout(capture, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="512 × 512"):
         export_flash_avatar(capture, tmp_path / "fa")
     monkeypatch.setattr(export, "FLASH_AVATAR_SIDE", 96)
-    with pytest.raises(InputError, match="last 500 frames"):
+    with pytest.raises(InputError, match="more than 500 frames"):
         export_flash_avatar(capture, tmp_path / "fa")
     monkeypatch.setattr(export, "FLASH_AVATAR_TEST_FRAMES", 5)
     export_flash_avatar(capture, tmp_path / "fa")

@@ -7,7 +7,7 @@ width).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -146,11 +146,11 @@ def write(folder: Path, record: TrackingRecord) -> None:
         )
     folder.mkdir(parents=True, exist_ok=True)
     for row, number in enumerate(record.numbers):
-        torch.save(_frame(record, row), folder / f"{int(number):05d}.frame")
+        torch.save(frame_dictionary(record, row), folder / f"{int(number):05d}.frame")
 
 
-def _frame(record: TrackingRecord, row: int) -> dict[str, Any]:
-    """The dictionary of one frame."""
+def frame_dictionary(record: TrackingRecord, row: int) -> dict[str, Any]:
+    """The content of one `.frame` file: row `row` of the record."""
     joints = torch.from_numpy(record.joint_rotations[row])
     rows = matrix_to_rotation_6d(axis_angle_to_matrix(joints)).numpy()
     pose, intrinsics = record.world_to_camera[row], record.intrinsics[row]
@@ -193,16 +193,3 @@ def _pytorch3d(pose: np.ndarray, intrinsics: np.ndarray, width: int, height: int
         "fl": intrinsics[:1, 0] / half,
         "pp": center,
     }
-
-
-def consistent(frames: Iterable[Mapping[str, Any]]) -> float:
-    """Largest difference between the two cameras a `.frame` holds; they are the same camera written twice."""
-    worst = 0.0
-    for frame in frames:
-        opencv, camera = frame["opencv"], frame["camera"]
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = opencv["R"][0], opencv["t"][0]
-        height, width = (int(size) for size in frame["img_size"])
-        for name, value in _pytorch3d(pose, opencv["K"][0], width, height).items():
-            worst = max(worst, float(np.abs(camera[name][0] - value).max()))
-    return worst

@@ -23,17 +23,17 @@ from preprocess.synthetic.person.wrinkles import bulge_strengths
 _STUCK, _FREE = 0.0004, 0.0030
 
 
-def tracked_vertices(head: HeadModel, motion: Performance, index: int) -> Float[ndarray, "V 3"]:
+def tracked_vertices(head: HeadModel, performance: Performance, index: int) -> Float[ndarray, "V 3"]:
     """What the head model alone makes of a frame, in head space, m."""
     rotations = torch.zeros(len(head.parents), 3)
-    rotations[head.joint("jaw")] = torch.from_numpy(motion.jaw[index])
-    rotations[head.joint("left_eye")] = torch.from_numpy(motion.eyes[index, 0])
-    rotations[head.joint("right_eye")] = torch.from_numpy(motion.eyes[index, 1])
+    rotations[head.joint("jaw")] = torch.from_numpy(performance.jaw[index])
+    rotations[head.joint("left_eye")] = torch.from_numpy(performance.eyes[index, 0])
+    rotations[head.joint("right_eye")] = torch.from_numpy(performance.eyes[index, 1])
     drive = dataclasses.replace(
         head.neutral_drive(),
-        expression=torch.from_numpy(motion.expression[index]).float(),
+        expression=torch.from_numpy(performance.expression[index]).float(),
         joint_rotations=rotations,
-        eyelids=torch.from_numpy(motion.eyelids[index]).float(),
+        eyelids=torch.from_numpy(performance.eyelids[index]).float(),
     )
     with torch.no_grad():
         return head.vertices(drive).numpy().astype(np.float64)
@@ -81,7 +81,7 @@ def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
 
 
 @dataclass(frozen=True)
-class Pose:
+class PosedGeometry:
     """Posed vertices in the room, m: head, garment, accessory things, lenses; and named expression values."""
 
     head: Float[ndarray, "W 3"]
@@ -92,15 +92,15 @@ class Pose:
     mouth_open: float
 
 
-def pose(character: Character, lips: StickyLips, motion: Performance, index: int) -> Pose:
+def pose_character(character: Character, lips: StickyLips, performance: Performance, index: int) -> PosedGeometry:
     """All geometry of a frame."""
-    values = dict(zip(procedural_names()[0], motion.expression[index].tolist(), strict=True))
-    tracked = lips.apply(tracked_vertices(character.head, motion, index))
+    values = dict(zip(procedural_names()[0], performance.expression[index].tolist(), strict=True))
+    tracked = lips.apply(tracked_vertices(character.head, performance, index))
     fine = character.fine.weights @ tracked
     fine = fine + np.einsum("bs,bsvc->vc", bulge_strengths(values), character.bulges)
     opening = float(np.linalg.norm(tracked[lips.upper] - tracked[lips.lower], axis=1).mean())
-    head, torso = motion.head_to_room[index], motion.torso_to_room[index]
-    return Pose(
+    head, torso = performance.head_to_room[index], performance.torso_to_room[index]
+    return PosedGeometry(
         head=_twisted(fine, character.rest[:, 1], head, torso),
         torso=_moved(character.torso.points, torso),
         accessory=_moved(character.accessory.points, head),

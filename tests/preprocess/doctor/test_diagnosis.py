@@ -22,7 +22,7 @@ from preprocess.doctor.convention_test import explained_by_frame_offset
 from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
 from preprocess.doctor.diagnosis import examine
 from preprocess.doctor.letterbox import black_bars, crop_flags
-from preprocess.synthetic.demo import Settings, write_demo
+from preprocess.synthetic.demo import DemoSettings, write_demo
 
 SIZE, FRAMES = 128, 56
 
@@ -31,7 +31,7 @@ SIZE, FRAMES = 128, 56
 def folder(tmp_path_factory):
     """A capture of the embedded subject."""
     place = tmp_path_factory.mktemp("subject")
-    for _ in write_demo(place / "demo", Settings(identity=1, frames=FRAMES, size=SIZE)):
+    for _ in write_demo(place / "demo", DemoSettings(identity=1, frames=FRAMES, size=SIZE)):
         pass
     demo = place / "demo"
     inputs = [

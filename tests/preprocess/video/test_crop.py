@@ -1,4 +1,4 @@
-"""Crops. Reference: points projected before and after, and pictures of gradients whose value tells the place."""
+"""Crops. Reference: points projected before and after, and images of gradients whose value tells the place."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ crops = st.builds(
 def test_intrinsics_follow_the_pixels(crop):
     """What a pixel of the capture shows lies where the new intrinsics say."""
     source = np.array([[120.0, 0, 64], [0, 130, 48], [0, 0, 1]])
-    picture = crop.image(place_picture(128, 96))
-    assert picture.shape == (crop.out_height, crop.out_width, 3)
+    image = crop.image(place_picture(128, 96))
+    assert image.shape == (crop.out_height, crop.out_width, 3)
     inner = np.s_[4:-4, 4:-4]
-    shown = picture[inner] / 2 + 0.5
+    shown = image[inner] / 2 + 0.5
     rows, columns = (axis[inner] + 0.5 for axis in np.mgrid[: crop.out_height, : crop.out_width])
     changed = crop.intrinsics(source)
     rays = np.stack(((columns - changed[0, 2]) / changed[0, 0], (rows - changed[1, 2]) / changed[1, 1]), axis=-1)
@@ -45,14 +45,14 @@ def test_intrinsics_follow_the_pixels(crop):
 
 
 def test_outside_is_black():
-    picture = Crop(-10, -10, 30, 30, 30, 30).image(np.full((40, 40, 3), 200, np.uint8))
-    assert not picture[:10].any() and not picture[:, :10].any() and (picture[10:, 10:] == 200).all()
+    image = Crop(-10, -10, 30, 30, 30, 30).image(np.full((40, 40, 3), 200, np.uint8))
+    assert not image[:10].any() and not image[:, :10].any() and (image[10:, 10:] == 200).all()
     assert Crop(-10, 0, 20, 20, 20, 20).image(np.full((40, 40), 255, np.uint8))[0, 0] == 0
 
 
 def test_uncropped_is_untouched():
-    picture = np.random.default_rng(0).integers(0, 255, (48, 48, 3), dtype=np.uint8)
-    np.testing.assert_array_equal(whole_frame(48, 48, 48).image(picture), picture)
+    image = np.random.default_rng(0).integers(0, 255, (48, 48, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(whole_frame(48, 48, 48).image(image), image)
     assert whole_frame(200, 100, 50) == Crop(0, 0, 200, 100, 50, 25)
     assert crop_from_json(whole_frame(200, 100, 50).json()) == whole_frame(200, 100, 50)
 
