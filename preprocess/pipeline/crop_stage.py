@@ -16,7 +16,7 @@ from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.read_stage import selection_of
 from preprocess.pipeline.stage import Stage, StageContext, file_state
-from preprocess.video.crop import Crop, explicit_crop, parse_rectangle, square_around, square_crop, whole_frame
+from preprocess.video.crop import Crop, explicit_crop, parse_rectangle, square_crop, square_crop_around, whole_frame
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.sources import open_source
 
@@ -99,7 +99,7 @@ def _crop_for_faces(context: StageContext, width: int, height: int) -> Crop:
     # The detector's box spans brows to chin; a head with hair is about 1.5 times as tall.
     centers, sides = (faces[:, :2] + faces[:, 2:]) / 2, faces[:, 2:] - faces[:, :2]
     heads = np.concatenate((centers - sides * [0.65, 0.85], centers + sides * [0.65, 0.65]), axis=1)
-    crop = square_around(heads, width, height, size)
+    crop = square_crop_around(heads, width, height, size)
     if width == height and crop.width > 0.8 * width:
         return whole_frame(width, height, size)
     return crop
@@ -143,7 +143,7 @@ def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: in
         or (boxes[:, 1] > height).all()
     ):
         return square_crop((width / 2, height / 2), min(width, height), width, height, size)
-    return square_around(boxes, width, height, size)
+    return square_crop_around(boxes, width, height, size)
 
 
 STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",), version=2)

@@ -169,7 +169,7 @@ def _head(options: PrepOptions, record: TrackingRecord) -> tuple[Any, list[str]]
     if record.version is not None and head.version != record.version:
         raise InputError(
             f"{path}: expected {record.version}, which the tracking's coefficients belong to, found {head.version}; "
-            f"give the {record.version} file with --head-model"
+            f"they are not interchangeable, give the {record.version} file with --head-model"
         )
     return head, []
 

@@ -81,7 +81,7 @@ def square_crop(center: tuple[float, float], side: float, width: int, height: in
     return Crop(x, y, length, length, size, size)
 
 
-def square_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size: int) -> Crop:
+def square_crop_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size: int) -> Crop:
     """One square crop around the head boxes (left, top, right, bottom; px) of all frames, with hair and shoulders.
 
     The square spans the 1st to the 99th percentile of the boxes. Its side is at least twice the median head height, so

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
-from preprocess.video.crop import Crop, crop_from_json, explicit_crop, square, square_around, whole_frame
+from preprocess.video.crop import Crop, crop_from_json, explicit_crop, square_crop, square_crop_around, whole_frame
 
 
 def place_picture(width, height):
@@ -59,16 +59,16 @@ def test_uncropped_is_untouched():
 
 @given(st.tuples(st.floats(-50, 250), st.floats(-50, 150)), st.floats(10, 400))
 def test_squares_stay_inside(center, side):
-    crop = square(center, side, 200, 100, 64)
+    crop = square_crop(center, side, 200, 100, 64)
     assert 0 <= crop.x <= crop.x + crop.width <= 200 and 0 <= crop.y <= crop.y + crop.height <= 100
     assert crop.width == crop.height == min(round(side), 100)
 
 
-def test_square_around_keeps_heads():
+def test_square_crop_around_keeps_heads():
     generator = np.random.default_rng(0)
     centers = generator.uniform([500, 400], [560, 440], (100, 2))
     boxes = np.concatenate((centers - 60, centers + 60), axis=1)
-    crop = square_around(boxes, 1080, 1920, 512)
+    crop = square_crop_around(boxes, 1080, 1920, 512)
     assert crop.width == crop.height and crop.x < boxes[:, 0].min() and crop.x + crop.width > boxes[:, 2].max()
     assert crop.y < boxes[:, 1].min() and crop.y + crop.height > boxes[:, 3].max() + 40
 

@@ -196,24 +196,24 @@ def test_own_spaces_say_so(tmp_path):
 def test_real_nerf_poses_are_rigid_and_in_front(data_folder):
     """AD-NeRF's file has NeRFBlendShape's cameras; coefficients are added to make the format complete."""
     source = json.loads((data_folder / "tracking" / "adnerf_transforms_val.json").read_text())
-    from preprocess.formats.json_fields import camera_to_world_gl
+    from preprocess.formats.json_fields import pose_from_opengl
 
     for frame in source["frames"][::50]:
-        pose = camera_to_world_gl(np.array(frame["transform_matrix"]))
+        pose = pose_from_opengl(np.array(frame["transform_matrix"]))
         np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-4)
         assert pose[2, 3] > 0
 
 
 @pytest.mark.parametrize("name", ["metrical_tracker", "insta"])
 def test_formats_without_head_pose_refuse_it(name, tmp_path):
-    with pytest.raises(InputError, match="fold them into the camera"):
+    with pytest.raises(InputError, match="move them into the camera"):
         importer(name).write(tmp_path / "x", posed_by_flame(moving_record(2)))
 
 
 def test_unknown_format_lists_all(tmp_path):
     with pytest.raises(InputError, match="metrical_tracker, nerface"):
         importer("openpose")
-    with pytest.raises(InputError, match="no known tracking"):
+    with pytest.raises(InputError, match="output of a known tracker"):
         detect_format(tmp_path)
     with pytest.raises(InputError, match="no such file"):
         detect_format(tmp_path / "absent")
@@ -225,7 +225,7 @@ def test_paths_in_json_stay_inside(target, tmp_path):
     data = json.loads((folder / "transforms.json").read_text())
     data["frames"][0]["flame_param_path"] = target
     (folder / "transforms.json").write_text(json.dumps(data))
-    with pytest.raises(InputError, match="outside its own folder"):
+    with pytest.raises(InputError, match="within its own folder"):
         vhap.read(folder)
 
 
