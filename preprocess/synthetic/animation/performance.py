@@ -1,4 +1,4 @@
-"""One frame's geometry: the tracked head plus everything that a linear skin cannot express, in the room."""
+"""Posing of one frame: the head model plus sticky lips, bulges and neck twist, which the head model cannot express."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _STUCK, _FREE = 0.0004, 0.0030
 
 
 def tracked_vertices(head: HeadModel, performance: Performance, index: int) -> Float[ndarray, "V 3"]:
-    """What the head model alone makes of a frame, in head space, m."""
+    """The head model's vertices in one frame, head space, m."""
     rotations = torch.zeros(len(head.parents), 3)
     rotations[head.joint("jaw")] = torch.from_numpy(performance.jaw[index])
     rotations[head.joint("left_eye")] = torch.from_numpy(performance.eyes[index, 0])
@@ -41,7 +41,16 @@ def tracked_vertices(head: HeadModel, performance: Performance, index: int) -> F
 
 @dataclass(frozen=True)
 class StickyLips:
-    """Which vertices follow which pair of the lip margin when it sticks."""
+    """Lips that stick together: pairs of vertices on the lip margin, and the vertices that follow each pair.
+
+    Attributes:
+        upper: Upper vertex of each pair.
+        lower: Lower vertex of each pair.
+        cling: How strongly each pair sticks, from 0.25 in the middle to 1 at the corners.
+        vertices: Vertices that follow a pair.
+        pair: The pair that each of them follows.
+        weight: How much each of them follows; negative on the lower lip.
+    """
 
     upper: ndarray
     lower: ndarray
@@ -51,7 +60,7 @@ class StickyLips:
     weight: ndarray
 
     def apply(self, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V 3"]:
-        """Close small gaps, those near the corners up to 3 mm, as moist lips do."""
+        """Vertices with small gaps between the lips closed, up to 3 mm near the corners, as moist lips do."""
         gap = points[self.upper] - points[self.lower]
         size = np.linalg.norm(gap, axis=1)
         hold = 1 - smoothstep(0.0, 1.0, (size - _STUCK) / (self.cling * (_FREE - _STUCK) + 1e-6))
@@ -63,7 +72,7 @@ class StickyLips:
 
 
 def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
-    """Pairs of the lip margin and the vertices around them; positive weights belong to the upper lip."""
+    """Sticky lips of a head; `generic` are the vertices of the generic head, m."""
     loop = head.regions["lip_margin"].numpy()
     half = len(loop) // 2
     upper, lower = loop[1:half], loop[:half:-1]
@@ -82,7 +91,16 @@ def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
 
 @dataclass(frozen=True)
 class PosedGeometry:
-    """Posed vertices in the room, m: head, garment, accessory things, lenses; and named expression values."""
+    """Posed geometry of one frame.
+
+    Attributes:
+        head: Vertices of the head in the room, m.
+        torso: Vertices of the garment, m.
+        accessory: Vertices of glasses or hat, m.
+        lens: Vertices of the lenses, m.
+        values: Expression coefficients by name.
+        mouth_open: Mean gap between the lips, m.
+    """
 
     head: Float[ndarray, "W 3"]
     torso: Float[ndarray, "A 3"]
@@ -93,7 +111,7 @@ class PosedGeometry:
 
 
 def pose_character(character: Character, lips: StickyLips, performance: Performance, index: int) -> PosedGeometry:
-    """All geometry of a frame."""
+    """The person's geometry in one frame of a performance."""
     values = dict(zip(procedural_names()[0], performance.expression[index].tolist(), strict=True))
     tracked = lips.apply(tracked_vertices(character.head, performance, index))
     fine = character.fine.weights @ tracked
@@ -115,7 +133,7 @@ def _moved(points: ndarray, transform: ndarray) -> ndarray:
 
 
 def _twisted(points: ndarray, height: ndarray, head: ndarray, torso: ndarray) -> ndarray:
-    """Head above, torso below, and in between a neck that twists: the relative rotation is taken in part."""
+    """Head pose above, torso pose below, and in between a neck that takes part of the relative rotation."""
     share = smoothstep(-0.158, -0.072, height)
     between = np.linalg.inv(torso) @ head
     turn = Rotation.from_matrix(between[:3, :3]).as_rotvec()

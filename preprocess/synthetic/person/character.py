@@ -1,4 +1,4 @@
-"""Everything about an embedded subject that does not change from frame to frame: meshes, textures, strands."""
+"""Everything about a generated person that does not change from frame to frame: meshes, textures, strands."""
 
 from __future__ import annotations
 
@@ -26,14 +26,19 @@ from preprocess.synthetic.rendering.lights import sky_visibility
 from preprocess.synthetic.rendering.mesh import vertex_normals
 
 TEXTURE = 1024
+"""Width and height of every texture."""
 SKIN, EYE, MOUTH, LIPS, CLOTH, HAT, FRAME, LENS = range(8)
 
 
 @dataclass(frozen=True)
 class RigidMesh:
-    """A rigid mesh beside the head.
+    """A rigid mesh other than the head: garment, glasses, hat or lenses.
 
-    Vertices at rest in m, faces, texture coordinates per corner, material of each face.
+    Attributes:
+        points: Vertices at rest, m.
+        faces: Triangles.
+        uv: Texture coordinates of every corner.
+        material: Material of each face.
     """
 
     points: Float[ndarray, "V 3"]
@@ -44,26 +49,26 @@ class RigidMesh:
 
 @dataclass(frozen=True)
 class Character:
-    """One subject, ready to be animated.
+    """A person, ready to be animated.
 
     Attributes:
-        person: Its description.
+        person: The description.
         identity: Identity coefficients.
-        head: The tracked head: what a user's tracker would give.
+        head: The head model that the tracking belongs to.
         fine: Subdivision of its triangles.
         uv: Texture coordinates of the fine corners.
         material: Material of the fine faces.
-        occlusion: Share of sky over the fine vertices, then over those of the garment and of accessory things.
-        rest: Generic position of the fine vertices, m.
-        torso: Garment, fixed in the room.
-        accessory: Glasses or hat, fixed to the head; maybe empty.
-        lens: Lenses; maybe empty.
-        albedo: Linear color of the head's, the garment's and the accessory things' texture.
+        occlusion: Sky visibility of the fine vertices, then of those of garment and accessory.
+        rest: Position of the fine vertices on the generic head, m.
+        torso: The garment.
+        accessory: Glasses or hat, fixed to the head; empty without either.
+        lens: Lenses; empty without glasses.
+        albedo: Linear colors of the head's, the garment's and the accessory's texture.
         relief: Heights of the same textures, m.
-        folds: Pieces of the head's relief that come with expressions.
-        bulges: Displacements of the fine vertices that come with expressions.
+        folds: Pieces of the head's relief that appear with expressions.
+        bulges: Displacements of the fine vertices that appear with expressions, m.
         scalp_hair: Scalp hair.
-        short_hair: Brows, lashes, beard.
+        short_hair: Brows, beard and lashes.
         materials: One row per material for the shader.
     """
 
@@ -88,7 +93,7 @@ class Character:
 
 
 def build_character(number: int) -> Character:
-    """Build one of the five subjects (1 to 5); deterministic."""
+    """One of the five people (1 to 5), built deterministically."""
     person = PEOPLE[number]
     names = procedural_names()[1]
     identity = np.array([person.identity.get(name, 0.0) for name in names])
@@ -126,7 +131,7 @@ def build_character(number: int) -> Character:
 
 
 def _face_groups(head: HeadModel) -> dict[str, ndarray]:
-    """Faces of every piece."""
+    """Faces of every anatomical part."""
     faces = head.faces.numpy()
     pieces = ("skin", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "left_ear", "right_ear")
     groups = {name: np.flatnonzero(np.isin(faces, head.regions[name].numpy()).all(axis=1)) for name in pieces}
@@ -183,13 +188,13 @@ def _placed(part: Part, uv: ndarray, identity: ndarray, material: int) -> RigidM
 
 
 def _rigid_identity() -> Float[ndarray, " I"]:
-    """Identity coefficients that change what hats and glasses sit on."""
+    """1 for identity coefficients that change where hats and glasses sit, else 0."""
     kept = ("head_width", "head_height", "head_depth", "nose_bridge", "eye_distance", "brow_ridge")
     return np.array([float(name in kept) for name in procedural_names()[1]])
 
 
 def _accessory(person: Person, identity: ndarray) -> RigidMesh:
-    """Glasses (texture coordinates in the lowest tenth) or a hat (above), or nothing."""
+    """Glasses (texture coordinates in the lowest tenth) or a hat (above), or an empty mesh."""
     if person.glasses is not None:
         part = glasses_frame()
         return _placed(part, np.full((len(part.vertices), 2), 0.05), identity, FRAME)
@@ -213,7 +218,7 @@ def _no_mesh() -> RigidMesh:
 
 
 def _textures(texels: Texels, groups: dict[str, ndarray], person: Person, seed: int) -> tuple[ndarray, ndarray]:
-    """Linear colors and heights of head, garment and accessory things."""
+    """Linear colors and heights of head, garment and accessory textures."""
     head, head_relief = (
         to_linear(paint_head(texels, groups, person, seed * 100)),
         paint_relief(texels, groups, seed * 100),
@@ -226,7 +231,7 @@ def _textures(texels: Texels, groups: dict[str, ndarray], person: Person, seed: 
 
 
 def _paint_accessory(person: Person, seed: int) -> tuple[ndarray, ndarray]:
-    """Knitted wool above, the glasses' color below."""
+    """Linear color and height of the accessory texture: knitted wool above, the color of the glasses below."""
     v, u = np.meshgrid((np.arange(TEXTURE) + 0.5) / TEXTURE, (np.arange(TEXTURE) + 0.5) / TEXTURE, indexing="ij")
     ribs = np.sin(2 * np.pi * 88 * u)
     stitches = np.sin(2 * np.pi * 120 * v + 1.5 * ribs)
@@ -239,7 +244,7 @@ def _paint_accessory(person: Person, seed: int) -> tuple[ndarray, ndarray]:
 
 
 def _occlusion(shape: ndarray, faces: ndarray, torso: RigidMesh, accessory: RigidMesh) -> Float[ndarray, " A"]:
-    """Ambient occlusion of head, garment and accessory things at rest, in this order."""
+    """Sky visibility of head, garment and accessory vertices at rest, in this order."""
     points = np.concatenate((shape, torso.points, accessory.points))
     starts = np.cumsum((0, len(shape), len(torso.points)))
     joined = np.concatenate(
@@ -251,7 +256,7 @@ def _occlusion(shape: ndarray, faces: ndarray, torso: RigidMesh, accessory: Rigi
 def _scalp_hair(
     generic: HeadModel, identity: ndarray, person: Person, groups: dict[str, ndarray], seed: int
 ) -> ScalpHair:
-    """Scalp hair on the generic head, then moved with the person's warps."""
+    """Scalp hair, grown on the generic head and warped to the person's identity."""
     points, faces = generic.template.numpy().astype(np.float64), generic.faces.numpy()
     density = scalp_density(points[faces].mean(axis=1), _membership(groups["skin"], faces))
     if person.hat is not None:
@@ -259,7 +264,7 @@ def _scalp_hair(
     face, weights = sample_surface(points, faces, density, person.hair.strands, np.random.default_rng([seed, 2]))
     scalp_hair = grow_scalp_hair(np.einsum("sk,skc->sc", weights, points[faces[face]]), person.hair, seed)
     nodes = warp_points(scalp_hair.nodes.reshape(-1, 3), identity * _rigid_identity()).reshape(scalp_hair.nodes.shape)
-    return ScalpHair(nodes, scalp_hair.tone, scalp_hair.depth)
+    return ScalpHair(nodes, scalp_hair.tone, scalp_hair.openness)
 
 
 def _short_hair(
@@ -270,10 +275,7 @@ def _short_hair(
     person: Person,
     seed: int,
 ) -> tuple[ShortHair, ...]:
-    """Brows, lashes and beard. Where they grow_scalp_hair is decided on the generic head.
-
-    Their frames are those of the person's own skin.
-    """
+    """Brows, beard and lashes, placed on the generic head and attached to the subdivided skin."""
     skin = np.repeat(_membership(groups["skin"], head.faces.numpy()), 4)
     loops = tuple(_fine_loop(head.regions[name].numpy(), fine) for name in ("left_lid_margin", "right_lid_margin"))
     made = (brows(rest, fine.faces, skin, person, seed), beard(rest, fine.faces, skin, person, seed))
@@ -282,7 +284,7 @@ def _short_hair(
 
 
 def _fine_loop(loop: ndarray, fine: Subdivision) -> ndarray:
-    """A coarse loop with the midpoints of its edges in between."""
+    """A coarse vertex loop with the fine vertices of its edges in between."""
     weights = fine.weights.tocsc()
     middle = []
     for first, second in zip(loop, np.roll(loop, -1), strict=True):

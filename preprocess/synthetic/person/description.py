@@ -1,4 +1,4 @@
-"""The five embedded subjects as data."""
+"""Descriptions of the five generated people."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Skin:
-    """How skin looks; colors are sRGB.
+    """Appearance of the skin; colors are sRGB.
 
     Attributes:
         tone: Base color.
-        flush: Color of cheeks, nose and ears where blood shows.
+        flush: Color of cheeks, nose and ears, where blood shows through.
         lips: Color of the vermilion.
-        freckles: Share of strength from 0 to 1.
-        stubble: Darkness of the shaved beard from 0 to 1.
-        age: How deep lines stay at rest, 0 to 1.
-        gloss: Factor of the highlights.
+        freckles: Strength of freckles, 0 to 1.
+        stubble: Darkness of the shaved beard, 0 to 1.
+        age: Depth of wrinkles at rest, 0 to 1.
+        gloss: Factor on the highlights.
     """
 
     tone: Color
@@ -33,20 +33,20 @@ class Skin:
 
 @dataclass(frozen=True)
 class HairStyle:
-    """A hair style.
+    """A hairstyle.
 
     Attributes:
         color: Color of the strands, sRGB.
-        strands: Number of them.
+        strands: Number of strands.
         length: Mean length on the crown, m.
         fringe: Length above the forehead, m.
-        comb: Direction in which it lies near the roots: +x left, +y up, +z forward.
-        lift: How far it stands off the head at the roots, 0 to 1.
+        comb: Direction of the strands near the roots: +x left, +y up, +z forward.
+        lift: How far the strands stand off the head at the roots, 0 to 1.
         curl: Radius of the waves, m.
         wave: Waves per meter.
-        flex: How much it lags behind the head, 0 to 1.
-        part: x of the parting, m; None combs everything the same way.
-        width: Of a strand, m.
+        flex: How much the hair lags behind the head, 0 to 1.
+        part: x of the parting, m; None combs all hair the same way.
+        width: Width of a strand, m.
     """
 
     color: Color
@@ -64,20 +64,30 @@ class HairStyle:
 
 @dataclass(frozen=True)
 class Beard:
-    """Facial hair: strands per beard, length and width in m.
+    """A full beard.
 
-    `full` reaches from ear to ear, otherwise mustache and chin.
+    Attributes:
+        strands: Number of strands.
+        length: Longest strand, m.
+        color: Color, sRGB.
     """
 
     strands: int
     length: float
     color: Color
-    full: bool = True
 
 
 @dataclass(frozen=True)
 class Garment:
-    """Clothes: main and second color (sRGB), pattern and neckline drop in front, m."""
+    """A garment.
+
+    Attributes:
+        color: Main color, sRGB.
+        accent: Second color, sRGB.
+        pattern: Pattern of the cloth.
+        neckline: How far the neckline drops in front, m.
+        collar: Height of the collar, m.
+    """
 
     color: Color
     accent: Color
@@ -88,7 +98,22 @@ class Garment:
 
 @dataclass(frozen=True)
 class Person:
-    """One subject; identity coefficients by name, the rest as above."""
+    """Description of one person; colors are sRGB.
+
+    Attributes:
+        identity: Identity coefficients by name.
+        skin: Skin.
+        iris: Color of the irises.
+        hair: Scalp hair.
+        brow: Color of the eyebrows.
+        garment: Garment.
+        brow_weight: Density of the eyebrows, about 1.
+        lashes: Fullness of the lashes, about 0.3 to 1.2.
+        beard: Beard, or None.
+        glasses: Color of the glasses' frame, or None.
+        hat: Color of the hat, or None.
+        wall: Color of the wall behind.
+    """
 
     identity: dict[str, float]
     skin: Skin

@@ -1,4 +1,4 @@
-"""Brows and beards: short strands that ride on the triangles of the moving skin."""
+"""Short hair (brows and beards): strands attached to the triangles of the moving skin."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NODES = 5
 
 @dataclass(frozen=True)
 class ShortHair:
-    """Strands in the frames of triangles.
+    """Strands in the local frames of triangles.
 
     Attributes:
         faces: Corners of the triangle under each strand.
         weights: Barycentric weights of the roots.
-        local: Nodes relative to the root, in (first edge, second axis, normal), m.
-        colors: Linear color.
-        widths: Width at the root, m.
+        local: Nodes relative to the root in the triangle frame (first edge, across it, normal), m.
+        colors: Linear color of each strand.
+        widths: Width of each strand at the root, m.
     """
 
     faces: Int[ndarray, "S 3"]
@@ -41,7 +41,7 @@ class ShortHair:
 
 
 def _frames(points: ndarray, faces: ndarray, weights: ndarray) -> tuple[ndarray, ndarray]:
-    """Root positions and orthonormal frames (rows: along the first edge, across it, normal)."""
+    """Root positions and orthonormal triangle frames (rows: along the first edge, across it, normal)."""
     corners = points[faces]
     along = corners[:, 1] - corners[:, 0]
     normal = np.cross(along, corners[:, 2] - corners[:, 0])
@@ -53,7 +53,16 @@ def _frames(points: ndarray, faces: ndarray, weights: ndarray) -> tuple[ndarray,
 def attach(
     points: ndarray, faces: ndarray, place: tuple[ndarray, ndarray], offsets: ndarray, colors: ndarray, widths: ndarray
 ) -> ShortHair:
-    """Strands at (face, barycentric weights); `offsets` [S, N, 3] are their nodes relative to the roots at rest, m."""
+    """Strands attached to a mesh at rest.
+
+    Args:
+        points: Vertices at rest [V, 3], m.
+        faces: Triangles [F, 3].
+        place: Face [S] and barycentric weights [S, 3] of every root.
+        offsets: Nodes relative to the roots [S, N, 3], m.
+        colors: Linear color of each strand [S, 3].
+        widths: Width of each strand at the root [S], m.
+    """
     corners, weights = faces[place[0]], place[1]
     _, axes = _frames(points, corners, weights)
     return ShortHair(corners, weights, np.einsum("snc,skc->snk", offsets, axes), colors, widths)
@@ -62,7 +71,7 @@ def attach(
 def brows(
     points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], skin: ndarray, person: Person, seed: int
 ) -> ShortHair:
-    """Eyebrows: hairs that lie along the brow, rising at its inner end."""
+    """Eyebrows: strands along the brow that rise at its inner end."""
     generator = np.random.default_rng([seed, 4])
     centers = points[faces].mean(axis=1)
     count = int(900 * person.brow_weight)
@@ -87,7 +96,7 @@ def brows(
 def beard(
     points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], skin: ndarray, person: Person, seed: int
 ) -> ShortHair | None:
-    """A beard of short curly hairs that point down and away from the skin; None without one."""
+    """A beard of short curly strands that point down and away from the skin; None for a person without one."""
     if person.beard is None:
         return None
     generator = np.random.default_rng([seed, 5])
@@ -115,10 +124,7 @@ def beard(
 def _arcs(
     heading: ndarray, length: ndarray, points: ndarray, faces: ndarray, place: tuple[ndarray, ndarray], lift: float
 ) -> ndarray:
-    """Offsets of strands that start along `heading` in the skin's plane.
-
-    Raised by `lift`, and bend back towards the skin.
-    """
+    """Node offsets of strands that start along `heading` in the skin's plane, raised by `lift`, and bend back to it."""
     _, axes = _frames(points, faces[place[0]], place[1])
     normal = axes[:, 2]
     flat = heading - (heading * normal).sum(axis=1, keepdims=True) * normal
@@ -130,5 +136,5 @@ def _arcs(
 
 
 def hair_colors(color: tuple[float, float, float], count: int, generator: np.random.Generator) -> ndarray:
-    """Linear colors scattered in brightness around an sRGB one."""
+    """Linear colors of strands, varied in brightness around an sRGB color."""
     return to_linear(np.asarray(color) * np.clip(1 + 0.25 * generator.standard_normal((count, 1)), 0.4, 1.7))

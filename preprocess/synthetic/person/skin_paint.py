@@ -1,6 +1,6 @@
 """Color and fine relief of skin, lips, eyes and teeth, painted in texture space.
 
-Colors sRGB until the end, lengths in meters.
+Colors are sRGB, lengths in m, points on the generic head.
 """
 
 from __future__ import annotations
@@ -25,15 +25,12 @@ _UPPER_GAPS, _LOWER_GAPS = (0.0, 0.0084, 0.0145, 0.0202), (0.0, 0.0053, 0.0109, 
 def blend(
     base: Float[ndarray, "N 3"], color: tuple[float, float, float] | ndarray, amount: Float[ndarray, " N"]
 ) -> Float[ndarray, "N 3"]:
-    """Move colors towards another one."""
+    """Colors blended towards another color by `amount`."""
     return base + (np.asarray(color) - base) * amount[:, None]
 
 
 def scalp_coverage(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """Where hair grows on the head, with a soft hairline.
-
-    1 on the crown, 0 on the face, the ears' surroundings and the nape.
-    """
+    """Where scalp hair grows, with a soft hairline: 1 on the crown, 0 on the face, around the ears and on the nape."""
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     ragged = 0.0022 * noise(points, 0.009, 11) + 0.0010 * noise(points, 0.0025, 14)
     line = np.interp(
@@ -50,7 +47,7 @@ def scalp_coverage(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
 
 
 def beard_coverage(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """Where a beard grows: jaw, chin, upper lip, sideburns, upper throat."""
+    """Where a beard grows, 0 to 1: jaw, chin, upper lip, sideburns, upper throat."""
     x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
     ragged = 0.003 * noise(points, 0.007, 12)
     upper = np.interp(x, [0.0, 0.020, 0.028, 0.047, 0.059, 0.066], [-0.030, -0.031, -0.048, -0.041, -0.016, 0.030])
@@ -68,7 +65,7 @@ def beard_coverage(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
 
 
 def vermilion(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """1 on the lips' red, 0 on skin, with a soft border and a cupid's bow."""
+    """1 on the red of the lips, 0 on skin, with a soft border and a Cupid's bow."""
     x = np.abs(points[:, 0])
     across = np.clip(x / (MOUTH_HALF_WIDTH + 0.0005), 0, 1)
     height = points[:, 1] - slit_height(points[:, 0])
@@ -83,7 +80,7 @@ def vermilion(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
 
 
 def skin_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Float[ndarray, "N 3"]:
-    """Skin with its zones, freckles, stubble, lips and the shade of hair at the roots."""
+    """Color of the skin with its zones, freckles, stubble, lips and the shade of hair roots, sRGB."""
     skin = person.skin
     color = np.tile(np.asarray(skin.tone), (len(points), 1))
     mottle = (
@@ -138,7 +135,7 @@ def skin_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Floa
 
 
 def brow_coverage(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """Where eyebrows grow."""
+    """Where eyebrows grow, 0 to 1."""
     x, y = np.abs(points[:, 0]), points[:, 1]
     middle = np.interp(x, [0.010, 0.020, 0.034, 0.045, 0.051], [0.0405, 0.0440, 0.0472, 0.0448, 0.0405])
     half = np.interp(x, [0.008, 0.014, 0.034, 0.050], [0.0022, 0.0040, 0.0030, 0.0009])
@@ -147,7 +144,7 @@ def brow_coverage(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
 
 
 def _freckles(points: ndarray, seed: int) -> ndarray:
-    """Spots of random size across nose and cheeks."""
+    """Strength of freckles: spots of random size across nose and cheeks."""
     generator = np.random.default_rng(seed + 20)
     zone = np.maximum(
         mirrored_gaussian(points, (0.026, -0.004, 0.045), (0.026, 0.018, 0.04)),
@@ -164,7 +161,7 @@ def _freckles(points: ndarray, seed: int) -> ndarray:
 
 
 def _lid_edges(color: ndarray, points: ndarray, person: Person) -> ndarray:
-    """The moist pink rim of the lids and the dark line of the lashes' roots."""
+    """Colors with the moist pink rim of the lids and the dark line of the lash roots."""
     folded = np.column_stack((np.abs(points[:, 0]), points[:, 1]))
     fine = np.concatenate(
         [lid_curve(32) + share * (np.roll(lid_curve(32), -1, axis=0) - lid_curve(32)) for share in (0, 0.25, 0.5, 0.75)]
@@ -182,7 +179,7 @@ def _lid_edges(color: ndarray, points: ndarray, person: Person) -> ndarray:
 
 
 def eye_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Float[ndarray, "N 3"]:
-    """Sclera with fine veins, iris with fibers and a dark limbus, pupil."""
+    """Color of the eyeball: sclera with fine veins, iris with fibers and a dark limbus, pupil; sRGB."""
     folded = np.column_stack(
         (np.abs(points[:, 0]) - EYE_CENTER[0], points[:, 1] - EYE_CENTER[1], points[:, 2] - EYE_CENTER[2])
     )
@@ -204,7 +201,7 @@ def eye_color(points: Float[ndarray, "N 3"], person: Person, seed: int) -> Float
 
 
 def tooth_color(points: Float[ndarray, "N 3"], *, upper: bool) -> Float[ndarray, "N 3"]:
-    """Enamel, a little yellower and darker towards the gum and the back, and the gum itself."""
+    """Color of teeth, slightly yellower and darker towards the gum and the back, and of the gum; sRGB."""
     rise = (points[:, 1] + 0.0475) if upper else (-0.0480 - points[:, 1])
     color = np.tile((0.90, 0.87, 0.80), (len(points), 1))
     color *= (1 - 0.25 * smoothstep(0.030, 0.010, points[:, 2]))[:, None]
@@ -218,7 +215,7 @@ def tooth_color(points: Float[ndarray, "N 3"], *, upper: bool) -> Float[ndarray,
 def paint_head(
     texels: Texels, groups: dict[str, Int[ndarray, " F"]], person: Person, seed: int
 ) -> Float[ndarray, "R R 3"]:
-    """The head's color texture, sRGB; `groups` lists the faces of each piece."""
+    """The head's color texture, sRGB; `groups` lists the faces of each anatomical part."""
     bare = replace(person, skin=replace(person.skin, stubble=0.0), beard=None, hair=replace(person.hair, length=-1.0))
     painters = {
         "skin": lambda p: skin_color(p, person, seed),
@@ -239,7 +236,7 @@ def paint_head(
 
 
 def paint_relief(texels: Texels, groups: dict[str, Int[ndarray, " F"]], seed: int) -> Float[ndarray, "R R"]:
-    """Static relief of the head's texture, m: pores, lip lines, brow and tongue texture."""
+    """Static relief of the head's texture, m: pores, lip lines and the tongue's roughness."""
     points = texels.points
     skin = np.isin(texels.face, np.concatenate((groups["skin"], groups["left_ear"], groups["right_ear"])))
     pores = 0.000028 * noise(points, 0.0016, seed + 40) + 0.000045 * noise(points, 0.0040, seed + 41)

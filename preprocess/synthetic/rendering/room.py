@@ -1,4 +1,4 @@
-"""The room in which the embedded subject sits: its camera."""
+"""The camera of the room in which the generated person sits."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def intrinsics(size: int) -> Float[ndarray, "3 3"]:
 
 
 def room_to_camera() -> Float[ndarray, "4 4"]:
-    """The camera's fixed pose in the room, OpenCV axes."""
+    """The camera's fixed pose: from the room to OpenCV camera axes, m."""
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     return look_at(torch.from_numpy(_EYE), torch.from_numpy(_TARGET), up).numpy()
 
 
 def camera_position() -> Float[ndarray, " 3"]:
-    """Where the camera stands, m."""
+    """The camera's position in the room, m."""
     return _EYE.copy()

@@ -1,8 +1,6 @@
-"""Color of every visible sample.
+"""Shading of surface samples: textures, bump mapping, shadowed key light, fill, rim and sky, scattering skin, gloss.
 
-Textures, bumps, a shadowed key light, fill, rim and sky, skin that lets red light through, gloss.
-
-Directions and positions are in the room, colors linear. Kernels are single-threaded and release the interpreter lock.
+Directions and positions are in room coordinates, colors are linear. Kernels are single-threaded and release the GIL.
 """
 
 from __future__ import annotations
@@ -18,7 +16,13 @@ from ggavatar.jit.kernels import inlined, kernel
 class Mesh(NamedTuple):
     """Posed geometry.
 
-    Points and normals [V, 3], occlusion [V, 1], faces [F, 3], texture coordinates [F, 3, 2], material number [F].
+    Attributes:
+        points: Vertices [V, 3], m.
+        normals: Unit normals [V, 3].
+        occlusion: Sky visibility [V, 1], 0 to 1.
+        faces: Triangles [F, 3].
+        uv: Texture coordinates of every corner [F, 3, 2].
+        material: Material of each face [F].
     """
 
     points: ndarray
@@ -30,9 +34,12 @@ class Mesh(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """Albedo textures [T, R, R, 3], heights [T, R, R] in m, and a row per material.
+    """Textures and materials.
 
-    Texture, roughness, gloss, scattering, mirror.
+    Attributes:
+        albedo: Linear colors [T, R, R, 3].
+        height: Heights [T, R, R], m.
+        materials: Texture, roughness, gloss, scattering and mirror of each material [M, 5].
     """
 
     albedo: ndarray
@@ -41,9 +48,14 @@ class Textures(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Unit directions [L, 3] towards the lights and their colors [L.
+    """Lights and camera.
 
-    3] (the first one casts shadows), sky and ground colors, camera position.
+    Attributes:
+        directions: Unit directions towards the lights [L, 3]; the first is the key light, which casts shadows.
+        colors: Their linear colors [L, 3].
+        sky: Linear color of light from above [3].
+        ground: Linear color of light from below [3].
+        camera: Position of the camera [3], m.
     """
 
     directions: ndarray
@@ -54,7 +66,12 @@ class Lights(NamedTuple):
 
 
 class Shadow(NamedTuple):
-    """Depth seen from the first light [S, S], and the affine map [3, 4] from the room to its column, row and depth."""
+    """Shadow map of the key light.
+
+    Attributes:
+        depth: Depth along the light [S, S], m.
+        room_to_map: Affine map from the room to column, row and depth [3, 4].
+    """
 
     depth: ndarray
     room_to_map: ndarray
@@ -66,7 +83,7 @@ _SOFTBOX = (0.34, 0.24)
 
 @inlined
 def _bilinear(values, x, y):
-    """A scalar texture at a continuous texel position, clamped at the border."""
+    """Bilinear sample of a scalar texture, clamped at the border."""
     size = values.shape[0]
     x, y = min(max(x, 0.0), size - 1.001), min(max(y, 0.0), size - 1.001)
     column, row = int(x), int(y)
@@ -78,7 +95,7 @@ def _bilinear(values, x, y):
 
 @inlined
 def shadowed(shadow, x, y, z):
-    """Share of the key light that arrives, from 0 to 1: a soft comparison over 4 × 4 texels."""
+    """Fraction of the key light that arrives, from 0 to 1, filtered over 4 × 4 texels of the shadow map."""
     m = shadow.room_to_map
     column = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
     row = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
@@ -99,7 +116,7 @@ def shadowed(shadow, x, y, z):
 
 @inlined
 def _gloss(ndoth, ndotv, ndotl, vdoth, roughness):
-    """Trowbridge–Reitz highlight with Schlick's Fresnel term for skin (normal reflectance 0.035), times the cosine."""
+    """Trowbridge–Reitz (GGX) highlight times the cosine, with Schlick's Fresnel term for skin (reflectance 0.035)."""
     a2 = roughness**4
     d = a2 / (np.pi * (ndoth * ndoth * (a2 - 1) + 1) ** 2)
     k = (roughness + 1) ** 2 / 8
@@ -110,7 +127,7 @@ def _gloss(ndoth, ndotv, ndotl, vdoth, roughness):
 
 @inlined
 def _bumped(mesh, textures, face, texture, u, v, normal):
-    """Normal after the height texture's slope, by the surface gradient of Mikkelsen (2010); returns x, y, z."""
+    """Normal perturbed by the height texture (surface gradient of Mikkelsen 2010); returns x, y, z."""
     a, b, c = mesh.faces[face, 0], mesh.faces[face, 1], mesh.faces[face, 2]
     du1, dv1 = mesh.uv[face, 1, 0] - mesh.uv[face, 0, 0], mesh.uv[face, 1, 1] - mesh.uv[face, 0, 1]
     du2, dv2 = mesh.uv[face, 2, 0] - mesh.uv[face, 0, 0], mesh.uv[face, 2, 1] - mesh.uv[face, 0, 1]
@@ -141,7 +158,7 @@ def _bumped(mesh, textures, face, texture, u, v, normal):
 
 @inlined
 def _softbox(lights, rx, ry, rz):
-    """A rectangular window of light around the key direction, as a mirror-like surface would show it."""
+    """Reflection of a rectangular softbox around the key direction on a mirror-like surface, 0 to 1."""
     dx, dy, dz = lights.directions[0, 0], lights.directions[0, 1], lights.directions[0, 2]
     along = rx * dx + ry * dy + rz * dz
     if along <= 0:
@@ -169,7 +186,7 @@ def shade(face, weights, mesh, textures, lights, shadow, color):
 
 @inlined
 def _mixed(values, mesh, index, second, third, axis):
-    """A vertex attribute [V, K] at barycentric weights."""
+    """Component `axis` of a vertex attribute [V, K], interpolated with barycentric weights."""
     first = 1.0 - second - third
     a, b, c = mesh.faces[index, 0], mesh.faces[index, 1], mesh.faces[index, 2]
     return first * values[a, axis] + second * values[b, axis] + third * values[c, axis]
@@ -177,7 +194,7 @@ def _mixed(values, mesh, index, second, third, axis):
 
 @inlined
 def _shade_sample(index, second, third, mesh, textures, lights, shadow, out):
-    """Color of one sample into `out`."""
+    """Write the color of one sample to `out`."""
     px, py, pz = (
         _mixed(mesh.points, mesh, index, second, third, 0),
         _mixed(mesh.points, mesh, index, second, third, 1),
@@ -206,7 +223,7 @@ def _shade_sample(index, second, third, mesh, textures, lights, shadow, out):
         nx, ny, nz, facing = nx - 1.02 * facing * vx, ny - 1.02 * facing * vy, nz - 1.02 * facing * vz, 0.02
     occlusion = _mixed(mesh.occlusion, mesh, index, second, third, 0)
     lit = shadowed(shadow, px + 0.002 * nx, py + 0.002 * ny, pz + 0.002 * nz)
-    # Teeth and tongue pass so much light on that shadows among them stay soft.
+    # Teeth and tongue scatter so much light that shadows between them stay soft.
     lit += (1 - lit) * max(material[3] - 1.0, 0.0) * 0.6
     _collect(material, lights, (nx, ny, nz), (vx, vy, vz), lit, occlusion, out)
     highlight = out[3]
@@ -232,13 +249,13 @@ def _shade_sample(index, second, third, mesh, textures, lights, shadow, out):
 
 @inlined
 def _collect(material, lights, normal, view, lit, occlusion, out):
-    """Incoming diffuse light per channel into out[0:3] and the highlight into out[3]."""
+    """Write the incoming diffuse light per channel to `out[0:3]` and the highlight to `out[3]`."""
     nx, ny, nz = normal
     vx, vy, vz = view
     roughness, gloss, scatter = material[1], material[2], material[3]
     facing = max(nx * vx + ny * vy + nz * vz, 0.02)
     up = 0.5 + 0.5 * ny
-    # Light that leaks through skin makes creases warmer than other dents.
+    # Light scattered through the skin makes creases redder.
     for channel in range(3):
         leak = occlusion ** (1.0 - scatter * (0.55, 0.15, 0.05)[channel])
         out[channel] = (lights.ground[channel] * (1 - up) + lights.sky[channel] * up) * leak
