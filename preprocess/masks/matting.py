@@ -49,7 +49,7 @@ class Matting(Protocol):
 
 
 def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
-    """The matting method for `--masks`: auto and selfie use our network, grabcut none, a file the user's RVM.
+    """The matting method for `--masks`: MediaPipe's network, GrabCut, or RVM from the user's file.
 
     Raises:
         InputError: No such file, or not an RVM network.

@@ -84,6 +84,6 @@ def to_linear(srgb: Float[ndarray, "*N 3"]) -> Float[ndarray, "*N 3"]:
 
 
 def to_srgb(linear: Float[ndarray, "*N 3"]) -> Float[ndarray, "*N 3"]:
-    """SRGB colors of linear colors, clipped to [0, 1]."""
+    """Linear colors as sRGB, clipped to [0, 1]."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055).astype(np.float32)

@@ -129,7 +129,7 @@ class Bulge:
 
     Attributes:
         center: Center on the left half of the generic head, m.
-        reach: Standard deviation of the Gaussian along each axis, m.
+        reach: Distance along each axis at which the Gaussian has fallen to 1/e, m.
         drivers: Expression names and weights; see `strength`.
         out: Displacement at full strength, m.
     """

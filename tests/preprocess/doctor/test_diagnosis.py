@@ -1,4 +1,4 @@
-"""The doctor on the embedded subject.
+"""The doctor on the generated person.
 
 Healthy as delivered, and every fault put into its tracking on purpose is named.
 """
@@ -29,7 +29,7 @@ SIZE, FRAMES = 128, 56
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A capture of the embedded subject."""
+    """A capture of the generated person."""
     place = tmp_path_factory.mktemp("subject")
     for _ in write_demo(place / "demo", DemoSettings(identity=1, frames=FRAMES, size=SIZE)):
         pass
@@ -121,16 +121,16 @@ def test_unscaled_principal_point_is_named(capture, head, factor):
 
 
 def test_swapped_size_of_an_oblong_capture_is_named(capture, head, tmp_path):
-    """The upper three quarters of every picture, with intrinsics scaled as if height were width."""
+    """The upper three quarters of every image, with intrinsics scaled as if height were width."""
     height = 3 * SIZE // 4
     upper = dataclasses.replace(capture, folder=tmp_path / "upper", height=height, source={})
-    pictures = ((capture.image(number)[:height], capture.mask(number)[:height]) for number in capture.frames)
+    images = ((capture.image(number)[:height], capture.mask(number)[:height]) for number in capture.frames)
     intrinsics = capture.tracking.intrinsics.copy()
     intrinsics[:, 0] *= height / SIZE
     intrinsics[:, 1] *= SIZE / height
     wrong = dataclasses.replace(upper, tracking=dataclasses.replace(capture.tracking, intrinsics=intrinsics))
     with np.load(capture.head_path) as arrays:
-        wrong.write(pictures, {name: arrays[name] for name in arrays.files})
+        wrong.write(images, {name: arrays[name] for name in arrays.files})
     found = [finding for finding in examine(wrong, head).findings if finding.severity == "fault"]
     assert found and found[0].code == "swapped-size"
 

@@ -11,7 +11,7 @@ from ggavatar.errors import InputError
 from preprocess.video.crop import Crop, crop_from_json, explicit_crop, square_crop, square_crop_around, whole_frame
 
 
-def place_picture(width, height):
+def place_image(width, height):
     """Red tells x − 0.5, green y − 0.5, in half px."""
     rows, columns = np.mgrid[:height, :width]
     return np.stack((2 * columns, 2 * rows, 0 * rows), axis=-1).astype(np.uint8)
@@ -30,7 +30,7 @@ crops = st.builds(
 def test_intrinsics_follow_the_pixels(crop):
     """What a pixel of the capture shows lies where the new intrinsics say."""
     source = np.array([[120.0, 0, 64], [0, 130, 48], [0, 0, 1]])
-    image = crop.image(place_picture(128, 96))
+    image = crop.image(place_image(128, 96))
     assert image.shape == (crop.out_height, crop.out_width, 3)
     inner = np.s_[4:-4, 4:-4]
     shown = image[inner] / 2 + 0.5
