@@ -40,8 +40,7 @@ class PrepOptions:
     """Format of `--tracking`: one of the names listed above, or auto to detect it."""
 
     head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"], metavar="FILE")] = None
-    """Head model that the parameters of `--tracking` belong to: head.npz, or FLAME's generic_model.pkl, flame2023.pkl
-    or npz."""
+    """Head model that `--tracking` belongs to: head.npz, or FLAME's generic_model.pkl, flame2023.pkl or npz."""
 
     masks: str = "auto"
     """Foreground masks: a folder of images, an RVM network file (.onnx, .torchscript), or auto, selfie, grabcut."""
@@ -92,7 +91,6 @@ class PrepOptions:
     """Replace an existing capture that was made by this command."""
 
     tracker: TrackingOptions = field(default_factory=TrackingOptions)
-    """Options of the built-in tracker."""
 
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
     """Print only warnings and errors."""

@@ -49,11 +49,6 @@ class TrackingRecord:
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
-    def rows(self, chosen: np.ndarray) -> TrackingRecord:
-        """The tracking of some rows."""
-        names = ("numbers", "intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
-        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in names})
-
 
 def stacked(source: object, rows: Sequence[np.ndarray], what: str) -> np.ndarray:
     """One row per frame as one array; `InputError` naming the source if the rows differ in length."""

@@ -1,4 +1,4 @@
-"""The whole road from a video with another tracker's output to a capture, on a synthetic subject whose truth is known."""
+"""From a video with another tracker's output to a capture, on a synthetic subject with known ground truth."""
 
 from __future__ import annotations
 
