@@ -1,6 +1,6 @@
 """Checked fields of other tools' JSON files, and conversions of the cameras in them.
 
-By hand rather than with pydantic or msgspec: the checks are array shapes, finite numbers and paths that stay in their
+Written by hand, not with pydantic or msgspec: the checks are array shapes, finite numbers and paths that stay in their
 folder, which neither library offers; both would be an added dependency.
 """
 
