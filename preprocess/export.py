@@ -1,8 +1,8 @@
-"""A capture in the layouts of others' trainers: GaussianAvatars (VHAP's export) and FlashAvatar.
+"""Export of captures to the layouts of other trainers: GaussianAvatars (VHAP's export) and FlashAvatar.
 
-Both need FLAME: a capture whose head is not FLAME's can be written, but those trainers would pose another head with
-its coefficients. `ggavatar-export CAPTURE --format vhap | flash-avatar` finds these functions as entry points
-(pyproject.toml), so that ggavatar need not import this package.
+Both layouts assume FLAME: a capture with another head can be written, but those trainers would apply its coefficients
+to FLAME. `ggavatar-export CAPTURE --format vhap | flash-avatar` finds these functions through entry points
+(pyproject.toml), so that ggavatar does not import this package.
 """
 
 from __future__ import annotations
@@ -26,20 +26,25 @@ from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.video.crop import Crop
 
 FLASH_AVATAR_SIDE = 512
-FLASH_AVATAR_TEST = 500
+FLASH_AVATAR_TEST_FRAMES = 500
 
 
-def record_of(capture: Capture) -> TrackingRecord:
-    """A capture's tracking as a record: five FLAME joints, frames numbered from 0 without gaps."""
+def to_tracking_record(capture: Capture) -> TrackingRecord:
+    """A capture's tracking as a record with FLAME's five joints; frames are numbered from 0 without gaps.
+
+    Raises:
+        InputError: The head has fewer joints.
+    """
     tracking = capture.tracking
     if tracking.joint_rotations.shape[1] < FLAME_JOINTS:
         raise InputError(
-            f"{capture.folder}: the head has {tracking.joint_rotations.shape[1]} joints, FLAME's layouts need 5"
+            f"{capture.folder}: expected a head with at least FLAME's 5 joints, found "
+            f"{tracking.joint_rotations.shape[1]}; this layout cannot hold the capture"
         )
     beyond = np.abs(tracking.joint_rotations[:, FLAME_JOINTS:]).max(initial=0)
     notes = ["joints beyond FLAME's five are left out"] if beyond > 1e-6 else []
     if not capture.head_version.startswith("flame"):
-        notes.append(f"the head is {capture.head_version}, not FLAME: others' trainers would pose another head")
+        notes.append(f"the head is {capture.head_version}, not FLAME: other trainers would pose the wrong head")
     wide = {name: value.astype(np.float64) for name, value in tracking.arrays().items()}
     return TrackingRecord(
         numbers=np.arange(len(capture.frames)),
@@ -57,10 +62,11 @@ def record_of(capture: Capture) -> TrackingRecord:
     )
 
 
-def centred(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
-    """The record for images re-cropped so that the principal point is their centre, and that crop (same size, padded).
+def center_principal_point(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
+    """The record for images shifted so that the principal point is their center, and the crop that shifts them.
 
-    GaussianAvatars and FlashAvatar ignore the principal point; one for the whole clip is used, rounded to whole px.
+    The images keep their size and are padded. GaussianAvatars and FlashAvatar ignore the principal point. One shift is
+    used for the whole clip: that of the median principal point, in whole px.
     """
     centers = record.intrinsics[:, :2, 2]
     shift = np.round(np.median(centers, axis=0) - [record.width / 2, record.height / 2]).astype(int)
@@ -68,16 +74,19 @@ def centred(record: TrackingRecord) -> tuple[TrackingRecord, Crop]:
     return dataclasses.replace(record, intrinsics=crop.intrinsics(record.intrinsics)), crop
 
 
-def posed_by_camera(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
-    """The record with the head's root rotation and translation moved into the camera, as metrical-tracker has it.
+def with_pose_in_camera(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
+    """The record with the head's root rotation and translation moved into the camera, as metrical-tracker stores it.
 
-    FLAME's root turns about joint 0 of the shaped head, not about the origin.
+    FLAME's root rotates about joint 0 of the shaped head, not about the origin.
 
     Raises:
-        InputError: The neck is turned, which such a format cannot hold.
+        InputError: The neck is rotated, which such a format cannot hold.
     """
     if np.abs(record.joint_rotations[:, 1]).max() > 1e-6:
-        raise InputError("the neck is turned; formats that pose the head by the camera cannot hold that")
+        raise InputError(
+            "the neck joint is rotated, but formats that store the head pose in the camera cannot hold that; "
+            "track the video with a still neck"
+        )
     turns = axis_angle_to_matrix(torch.from_numpy(record.joint_rotations[:, 0])).numpy()
     roots = _root_joints(record, head)
     moves = record.translation + roots - np.einsum("tij,tj->ti", turns, roots)
@@ -99,64 +108,74 @@ def _root_joints(record: TrackingRecord, head: HeadModel) -> Float[np.ndarray, "
     return weights @ head.template.numpy().astype(np.float64) + used @ basis[: used.shape[1]]
 
 
-def posed_by_flame(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
-    """The record with a still camera 1 m in front of the head and all motion in FLAME's root.
+def with_pose_in_flame(record: TrackingRecord, head: HeadModel) -> TrackingRecord:
+    """The record with a static camera 1 m in front of the head and all motion in FLAME's root, as VHAP stores it.
 
-    As VHAP has it (inverse of the above).
+    The inverse of `with_pose_in_camera`, which is applied first.
     """
-    folded = posed_by_camera(record, head)
-    still = np.diag([1.0, -1.0, -1.0, 1.0])
-    still[2, 3] = 1.0
-    turns = still[:3, :3].T @ folded.world_to_camera[:, :3, :3]
+    in_camera = with_pose_in_camera(record, head)
+    static = np.diag([1.0, -1.0, -1.0, 1.0])
+    static[2, 3] = 1.0
+    turns = static[:3, :3].T @ in_camera.world_to_camera[:, :3, :3]
     roots = _root_joints(record, head)
-    moves = (folded.world_to_camera[:, :3, 3] - still[:3, 3]) @ still[:3, :3]
+    moves = (in_camera.world_to_camera[:, :3, 3] - static[:3, 3]) @ static[:3, :3]
     moves = moves - roots + np.einsum("tij,tj->ti", turns, roots)
-    joints = folded.joint_rotations.copy()
+    joints = in_camera.joint_rotations.copy()
     joints[:, 0] = matrix_to_axis_angle(torch.from_numpy(turns)).numpy()
-    poses = np.tile(still, (len(turns), 1, 1))
-    return dataclasses.replace(folded, world_to_camera=poses, joint_rotations=joints, translation=moves)
+    poses = np.tile(static, (len(turns), 1, 1))
+    return dataclasses.replace(in_camera, world_to_camera=poses, joint_rotations=joints, translation=moves)
 
 
 def export_gaussian_avatars(capture: Capture, folder: Path) -> Mapping[str, object]:
-    """Write a folder GaussianAvatars trains on: VHAP's files, images on white and masks, the principal point centred.
+    """Write a folder that GaussianAvatars trains on: VHAP's files, images on white, and masks.
+
+    The principal point is moved to the image center.
 
     Returns:
-        What could not be represented, under "notes".
+        The number of "frames", and under "notes" what could not be represented.
+
+    Raises:
+        InputError: The folder is not empty, or the layout cannot hold the tracking.
     """
     _require_new(folder)
-    record, crop = centred(record_of(capture))
-    record = posed_by_flame(record, load_head(capture.head_path))
+    record, crop = center_principal_point(to_tracking_record(capture))
+    record = with_pose_in_flame(record, load_head(capture.head_path))
     vhap.write(folder, record)
     for row, number in enumerate(capture.frames):
         mask = crop.image(capture.mask(number))
         alpha = mask[..., None].astype(np.float32) / 255
-        shown = np.round(crop.image(capture.image(number)) * alpha + 255 * (1 - alpha)).astype(np.uint8)
-        write_png(folder / "images" / f"{row:05d}_00.png", shown)
+        on_white = np.round(crop.image(capture.image(number)) * alpha + 255 * (1 - alpha)).astype(np.uint8)
+        write_png(folder / "images" / f"{row:05d}_00.png", on_white)
         write_png(folder / "fg_masks" / f"{row:05d}_00.png", mask)
     lids = ("eyelids cannot be stored",) if np.abs(record.eyelids).max() > 1e-6 else ()
     return {"notes": [*record.notes, *lids], "frames": len(capture.frames)}
 
 
 def export_flash_avatar(capture: Capture, folder: Path) -> Mapping[str, object]:
-    """Write FlashAvatar's layout: `checkpoint/%05d.frame` counted from 0, `imgs` and `alpha` from 1, 512 × 512 px.
+    """Write FlashAvatar's layout: `checkpoint/%05d.frame` numbered from 0, `imgs` and `alpha` from 1, 512 × 512 px.
 
-    The head-and-neck and mouth parsing of its training is not made here.
+    The head, neck and mouth parsing masks that its training also reads are not made here.
+
+    Returns:
+        The number of "frames", and under "notes" what could not be represented.
 
     Raises:
-        InputError: Too short (FlashAvatar tests on the last 500 frames), not 512 × 512, or a turned neck.
+        InputError: The folder is not empty, the capture is too short (FlashAvatar tests on the last 500 frames) or not
+            512 × 512 px, or the neck is rotated.
     """
     _require_new(folder)
     if (capture.width, capture.height) != (FLASH_AVATAR_SIDE, FLASH_AVATAR_SIDE):
         raise InputError(
-            f"{capture.folder}: FlashAvatar needs 512 × 512 px images, this capture has "
-            f"{capture.width}×{capture.height}"
+            f"{capture.folder}: expected 512 × 512 px images for FlashAvatar, found "
+            f"{capture.width}×{capture.height}; prepare the video again with --size 512"
         )
-    if len(capture.frames) <= FLASH_AVATAR_TEST:
+    if len(capture.frames) <= FLASH_AVATAR_TEST_FRAMES:
         raise InputError(
-            f"{capture.folder}: FlashAvatar tests on the last 500 frames, this capture has {len(capture.frames)}"
+            f"{capture.folder}: expected more than {FLASH_AVATAR_TEST_FRAMES} frames, since FlashAvatar tests on the "
+            f"last {FLASH_AVATAR_TEST_FRAMES} frames; found {len(capture.frames)}"
         )
-    record, crop = centred(record_of(capture))
-    record = posed_by_camera(record, load_head(capture.head_path))
+    record, crop = center_principal_point(to_tracking_record(capture))
+    record = with_pose_in_camera(record, load_head(capture.head_path))
     metrical_tracker.write(folder / "checkpoint", record)
     for row, number in enumerate(capture.frames, start=1):
         write_jpeg(folder / "imgs" / f"{row:05d}.jpg", crop.image(capture.image(number)), quality=98)
@@ -167,4 +186,4 @@ def export_flash_avatar(capture: Capture, folder: Path) -> Mapping[str, object]:
 
 def _require_new(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: exists already; choose another folder")
+        raise InputError(f"{folder}: exists already; choose another folder with -o")

@@ -1,1 +1,1 @@
-"""The commands ggavatar-prep, ggavatar-doctor and ggavatar-demo."""
+"""The commands `ggavatar-prep`, `ggavatar-doctor` and `ggavatar-demo`."""

@@ -1,7 +1,4 @@
-"""`ggavatar-demo`: a licence-free person as a user's data would be.
-
-A video, its mattes, a tracker's files and a head model.
-"""
+"""`ggavatar-demo`: a generated, license-free person as a user's data: video, mattes, tracker files, head model."""
 
 from __future__ import annotations
 
@@ -21,23 +18,23 @@ from ggavatar.errors import InputError
 
 
 @dataclass(frozen=True)
-class Options:
-    """Write an embedded subject: video.mp4, masks/, tracking/, head.npz and truth.npz."""
+class DemoOptions:
+    """Write a generated person: video.mp4, masks/, tracking/, head.npz and truth.npz."""
 
     output_dir: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
-    """Folder to write; must be new or empty."""
+    """Folder to write; must be new or empty unless --overwrite is given."""
     identity: Annotated[Literal[1, 2, 3, 4, 5], tyro.conf.arg(name="id")] = 1
-    """Which of the five people."""
+    """Which of the five people to write."""
     frames: int = 600
-    """Length at 25 frames a second."""
+    """Number of frames, at 25 frames per second."""
     size: int = 512
-    """Width and height, px; even."""
+    """Width and height of the video, px; even."""
     noise: float = 0.0
-    """Tracker errors: 0 is the truth, 1 what monocular trackers do on real clips."""
+    """Level of simulated tracker errors: 0 is the ground truth, 1 is typical of monocular trackers on real clips."""
     background: Literal["plain", "busy"] = "plain"
-    """What is behind the person: a wall, or a room out of focus."""
+    """Background: a plain wall, or a busy room out of focus."""
     seed: int = 0
-    """Of the performance and of the tracker's errors."""
+    """Seed of the performance and of the tracker errors."""
     overwrite: bool = False
     """Replace the files of an earlier demo in the same folder."""
 
@@ -45,31 +42,31 @@ class Options:
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ggavatar-demo`; returns the exit code."""
     handle_version_flag("ggavatar-demo", arguments)
-    options = tyro.cli(Options, args=arguments, prog="ggavatar-demo", description=Options.__doc__)
+    options = tyro.cli(DemoOptions, args=arguments, prog="ggavatar-demo", description=DemoOptions.__doc__)
     return run_command(lambda: _write(options))
 
 
-def _check(options: Options) -> None:
+def _check(options: DemoOptions) -> None:
     if options.frames < 1 or options.frames > 99_999:
         raise InputError(f"expected --frames from 1 to 99999, found {options.frames}")
     if options.size < 32 or options.size > 4096 or options.size % 2:
         raise InputError(f"expected an even --size from 32 to 4096 px, found {options.size}")
     if not 0 <= options.noise <= 10:
-        raise InputError(f"expected --noise from 0 (exact) to 10; 1 is realistic; found {options.noise}")
+        raise InputError(f"expected --noise from 0 (exact) to 10 (1 is realistic), found {options.noise}")
     if options.seed < 0:
-        raise InputError(f"expected --seed of 0 or more, found {options.seed}")
+        raise InputError(f"expected a --seed of 0 or more, found {options.seed}")
 
 
-def _write(options: Options) -> None:
+def _write(options: DemoOptions) -> None:
     _check(options)
-    from preprocess.synthetic.demo import Settings, write_demo
-    from preprocess.synthetic.output_folder import claim
+    from preprocess.synthetic.demo import DemoSettings, write_demo
+    from preprocess.synthetic.output_folder import prepare_demo_folder
 
-    claim(options.output_dir, overwrite=options.overwrite)
+    prepare_demo_folder(options.output_dir, overwrite=options.overwrite)
     values = asdict(options)
     folder = values.pop("output_dir")
     values.pop("overwrite")
-    for _ in _shown(write_demo(folder, Settings(**values)), options.frames):
+    for _ in _with_progress(write_demo(folder, DemoSettings(**values)), options.frames):
         pass
     sys.stdout.write(
         f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
@@ -77,8 +74,8 @@ def _write(options: Options) -> None:
     )
 
 
-def _shown(work: Iterator[int], total: int) -> Iterator[int]:
-    """Pass the frame numbers on while showing progress: a bar on a terminal, a line every tenth otherwise."""
+def _with_progress(work: Iterator[int], total: int) -> Iterator[int]:
+    """Yield the frame numbers and show progress: a bar on a terminal, else a line for every tenth of the frames."""
     console = Console(stderr=True)
     if console.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -1,4 +1,4 @@
-"""`ggavatar-doctor`: examine a capture that exists already."""
+"""`ggavatar-doctor`: examine an existing capture."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from ggavatar.errors import GateError
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """Say what is wrong with a capture and which flag mends it; writes doctor.json and preview.jpg into it."""
+    """Report what is wrong with a capture and which flag fixes it; writes doctor.json and preview.jpg into it."""
 
     capture: tyro.conf.Positional[Path]
-    """The capture folder."""
+    """Capture folder to examine."""
 
     strict: bool = False
-    """Exit with 3 if there is a fault."""
+    """Exit with code 3 if the doctor finds a fault."""
 
     json: bool = False
     """Print the whole report as JSON."""
 
     dry_run: bool = False
-    """Write nothing into the capture."""
+    """Write nothing into the capture folder."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point of `ggavatar-doctor`; returns the exit code."""
     handle_version_flag("ggavatar-doctor", arguments)
     options = tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=None if arguments is None else list(arguments))
     return run_command(lambda: _examine(options))
@@ -43,7 +43,7 @@ def _examine(options: DoctorOptions) -> int:
 
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
-    from preprocess.cli.terminal import spoken
+    from preprocess.cli.terminal import report_lines
     from preprocess.doctor.diagnosis import examine, write_report
     from preprocess.doctor.preview import write_preview
 
@@ -56,7 +56,7 @@ def _examine(options: DoctorOptions) -> int:
     if options.json:
         sys.stdout.write(json.dumps(diagnosis.json(), default=float) + "\n")
     else:
-        sys.stdout.write("".join(f"{line}\n" for line in spoken(diagnosis.json())))
+        sys.stdout.write("".join(f"{line}\n" for line in report_lines(diagnosis.json())))
     if options.strict and not diagnosis.healthy:
         raise GateError(f"{options.capture}: the doctor found a fault (--strict)")
     return 0

@@ -1,6 +1,6 @@
 """`ggavatar-prep`: from a portrait video to a capture.
 
-Nothing heavy is imported before the arguments are understood.
+Heavy modules are imported only after the arguments are parsed.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from preprocess.options import PrepOptions
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point of `ggavatar-prep`; returns the exit code."""
     import tyro
 
-    given = _dashed_paths(sys.argv[1:] if arguments is None else arguments)
+    given = _protect_dashed_paths(sys.argv[1:] if arguments is None else arguments)
     handle_version_flag("ggavatar-prep", given)
     options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
-    return run_command(lambda: _prepared(options))
+    return run_command(lambda: _prepare_resumable(options))
 
 
-def _dashed_paths(arguments: Sequence[str]) -> list[str]:
-    """Files that exist under a name with a leading dash, and an output folder with one, are made to look like paths."""
+def _protect_dashed_paths(arguments: Sequence[str]) -> list[str]:
+    """Prefix `./` to existing files and to an output folder whose names begin with a dash, so they parse as paths."""
     result: list[str] = []
     for argument in arguments:
         after_output = bool(result) and result[-1] in ("-o", "--output-dir")
@@ -40,27 +40,27 @@ def _dashed_paths(arguments: Sequence[str]) -> list[str]:
 
 
 def _description() -> str:
-    """What the help page says first."""
+    """The introduction of the help page."""
     from preprocess.formats.registry import importer_names
 
     return (
-        "Make a capture from a portrait video: frames, crop, masks, tracking, and a check of all of it.\n\n"
+        "Make a capture from a portrait video: frames, crop, masks, tracking, and a check of the result.\n\n"
         f"Formats of --tracking: {', '.join(importer_names())}.\n"
         "Example: ggavatar-prep video.mp4 -o alice"
     )
 
 
-def _prepared(options: PrepOptions) -> int:
-    """Prepare; whoever interrupts is told how to go on."""
+def _prepare_resumable(options: PrepOptions) -> int:
+    """Prepare; an interrupt tells the user how to resume."""
     try:
         return _prepare(options)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt("what is finished is kept; the same command with --resume goes on") from None
+        raise KeyboardInterrupt("finished stages are kept; run the same command with --resume to continue") from None
 
 
 def _prepare(options: PrepOptions) -> int:
-    """Run the pipeline and say what was written."""
-    # The fit's matrices are small, and our own threads keep the cores busy: OpenBLAS's would only be in the way.
+    """Run the pipeline and report what was written."""
+    # The fit's matrices are small and our own threads already keep the cores busy: OpenBLAS threads would compete.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from ggavatar.data.capture import Capture
     from preprocess.cli.terminal import Terminal
@@ -68,11 +68,11 @@ def _prepare(options: PrepOptions) -> int:
 
     terminal = Terminal(options.quiet or options.json)
     results = run_pipeline(options, terminal.stage)
-    Capture.open(options.output_dir)  # what stages skipped may have lost pictures since they were written
+    Capture.open(options.output_dir)  # files of skipped stages may have been deleted since they were written
     terminal.summary(options, results)
     if options.json:
-        shown = {"capture": str(options.output_dir), **results["pack"], "doctor": results["doctor"]}
-        sys.stdout.write(json.dumps(shown) + "\n")
+        summary = {"capture": str(options.output_dir), **results["pack"], "doctor": results["doctor"]}
+        sys.stdout.write(json.dumps(summary) + "\n")
     if options.strict and not results["doctor"]["healthy"]:
         raise GateError(f"{options.output_dir}: the doctor found a fault (--strict)")
     return 0

@@ -1,4 +1,4 @@
-"""What `ggavatar-prep` says while it works: one live line a stage on a terminal, plain lines elsewhere."""
+"""Terminal output of `ggavatar-prep`: one live progress line per stage on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from preprocess.pipeline.stage import Stage
 
 
 class Terminal:
-    """Progress and warnings go to stderr, the summary to stdout."""
+    """Prints progress and warnings to stderr and the summary to stdout."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
@@ -26,7 +26,7 @@ class Terminal:
 
     @contextmanager
     def stage(self, stage: Stage, skipped: bool) -> Iterator[_StageLine]:
-        """The line of one stage."""
+        """The progress line of one stage, as a context manager."""
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(
             *columns, console=self._errors, transient=True, disable=self._quiet or not self._errors.is_terminal
@@ -39,10 +39,10 @@ class Terminal:
             self._errors.print(f"{stage.title}: {done}", markup=False)
 
     def summary(self, options: PrepOptions, results: Mapping[str, Mapping[str, Any]]) -> None:
-        """What was written, what was lost on the way, and the next command."""
+        """Print the warnings, what was written, what was lost and the next command."""
         for warning in self._warnings:
             self._errors.print(f"warning: {warning}", markup=False)
-        lines = spoken(results["doctor"])
+        lines = report_lines(results["doctor"])
         for line in lines if not self._quiet else [line for line in lines if line.startswith("fault")]:
             self._errors.print(line, markup=False)
         if self._quiet:
@@ -56,7 +56,7 @@ class Terminal:
 
 
 class _StageLine:
-    """The reporter of one stage."""
+    """Reporter of one stage."""
 
     def __init__(self, progress: Progress, title: str, warnings: list[str]) -> None:
         self._progress, self._warnings = progress, warnings
@@ -64,7 +64,7 @@ class _StageLine:
         self.done = 0
 
     def advance(self, done: int, total: int | None) -> None:
-        """Show that so many steps are done."""
+        """Show the number of items done."""
         self.done = max(self.done, done)
         self._progress.update(self._task, completed=done, total=total)
 
@@ -73,15 +73,15 @@ class _StageLine:
         self._warnings.append(message)
 
 
-def spoken(report: Mapping[str, Any]) -> list[str]:
-    """The doctor's report in lines of text."""
+def report_lines(report: Mapping[str, Any]) -> list[str]:
+    """The doctor's report as lines of text."""
     measures = report["measures"]
     lines = [
         f"{item['severity']}: {item['message']}" + (f" [{item['flag']}]" if item["flag"] else "")
         for item in report["findings"]
     ]
     verdict = "healthy" if report["healthy"] else "not healthy"
-    shown = [f"silhouette IoU {measures['silhouette_iou']:.2f}", f"jitter {measures['jitter']['pixels']:.2f} px"]
+    values = [f"silhouette IoU {measures['silhouette_iou']:.2f}", f"jitter {measures['jitter']['pixels']:.2f} px"]
     if measures.get("landmark_error_pixels") is not None:
-        shown.append(f"landmarks {measures['landmark_error_pixels']:.2f} px")
-    return [*lines, f"doctor: {verdict} ({', '.join(shown)})"]
+        values.append(f"landmarks {measures['landmark_error_pixels']:.2f} px")
+    return [*lines, f"doctor: {verdict} ({', '.join(values)})"]

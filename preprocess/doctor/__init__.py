@@ -1,1 +1,1 @@
-"""What is wrong with a capture, in words, and which flag mends it."""
+"""Diagnosis of captures: what is wrong, in words, and which flag fixes it."""

@@ -1,4 +1,4 @@
-"""How well the tracked mesh lies over the masks, under any hypothesis about the tracking."""
+"""Tests of convention hypotheses: silhouette overlap of mesh and masks, and brightness constancy under the mesh."""
 
 from __future__ import annotations
 
@@ -14,28 +14,30 @@ from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.doctor.conventions import AXES, OTHERS, Hypothesis
-from preprocess.doctor.frame_offset import find_offset, picture_change
+from preprocess.doctor.frame_offset import brightness_changes, find_offset
 from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
 
 SIDE = 128
+"""Longer side of the reduced masks, px."""
 FRAMES = 12
-CONVINCING = 0.42
-"""A hypothesis that explains less (IoU) explains nothing: a huge head covers every person a little."""
-FRAMES_AT_HAND = 64
-"""Half of how many images are kept in memory while hypotheses are compared."""
-NEARLY = 0.05
-"""Silhouettes that differ by less (IoU) leave the decision to the picture under the mesh."""
+"""How many frames are sampled."""
+MINIMUM_IOU = 0.42
+"""Mean IoU that a hypothesis must exceed to be accepted: a huge head overlaps every person to some extent."""
+MAX_CACHED_IMAGES = 128
+"""How many images are kept in memory while hypotheses are compared."""
+IOU_TIE_MARGIN = 0.05
+"""Difference in IoU below which the brightness under the mesh decides instead of the silhouettes."""
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """Posed vertices and small masks of some frames, against which hypotheses are weighed.
+class ConventionTest:
+    """Posed vertices and small masks of sampled frames, against which hypotheses are tested.
 
     Attributes:
-        rows: Rows of the tracking.
+        rows: Sampled rows of the tracking.
         vertices: Posed vertices of those rows under the tracking as it is, m.
-        masks: Their masks at reduced size.
-        faces: Of the mesh.
+        masks: Masks of those rows at reduced size.
+        faces: Triangles of the mesh.
         scale: Size of the reduced masks relative to the capture.
         size: Width and height of the capture, px.
     """
@@ -48,56 +50,62 @@ class Evidence:
     size: tuple[int, int]
 
     def overlaps(self, tracking: Tracking, hypothesis: Hypothesis) -> Float[np.ndarray, " N"]:
-        """IoU of silhouette and mask in every sampled frame, if the hypothesis were true and undone."""
+        """IoU of silhouette and mask in every sampled frame with the hypothesis's mistake undone."""
         corrected = hypothesis.correct(tracking, *self.size)
 
         def score(view: tuple[int, np.ndarray, np.ndarray]) -> float:
             row, vertices, mask = view
-            # The vertices hold the old translation; a hypothesis may change it.
+            # The vertices include the original translation; a hypothesis may change it.
             moved = vertices - tracking.translation[row] + corrected.translation[row]
             pixels, depth = project(moved, corrected.intrinsics[row], corrected.world_to_camera[row])
-            drawn = silhouette(pixels * self.scale, depth, self.faces, (mask.shape[1], mask.shape[0]))
-            return _overlap_above(drawn, mask)
+            covered = silhouette(pixels * self.scale, depth, self.faces, (mask.shape[1], mask.shape[0]))
+            return _overlap_above(covered, mask)
 
         return np.array(list(ordered_map(score, zip(self.rows, self.vertices, self.masks, strict=True))))
 
 
-def _overlap_above(drawn: np.ndarray, seen: np.ndarray) -> float:
-    """IoU, the body below a mesh that ends inside the picture left out."""
-    rows = np.flatnonzero(drawn.any(axis=1))
+def _overlap_above(covered: np.ndarray, mask: np.ndarray) -> float:
+    """IoU of silhouette and mask without the body below a mesh that ends inside the image."""
+    rows = np.flatnonzero(covered.any(axis=1))
     if not len(rows):
         return 0.0
-    # Only where the mesh is of a person's size in the picture; a speck high up must not cut its own measure.
-    last = rows[-1] + 1 if rows[-1] - rows[0] > 0.5 * np.count_nonzero(seen.any(axis=1)) else len(drawn)
-    return overlap(drawn[:last], seen[:last])
+    # Only if the silhouette is about as tall as the person; a speck high up must not exclude the rest of the mask.
+    last = rows[-1] + 1 if rows[-1] - rows[0] > 0.5 * np.count_nonzero(mask.any(axis=1)) else len(covered)
+    return overlap(covered[:last], mask[:last])
 
 
-def gather(capture: Capture, head: HeadModel) -> Evidence:
-    """Sample frames over the whole clip."""
-    rows = sorted({round(place) for place in np.linspace(0, len(capture.frames) - 1, min(FRAMES, len(capture.frames)))})
+def prepare_convention_test(capture: Capture, head: HeadModel) -> ConventionTest:
+    """A convention test on frames sampled evenly over the whole clip."""
+    count = min(FRAMES, len(capture.frames))
+    rows = sorted({round(position) for position in np.linspace(0, len(capture.frames) - 1, count)})
     scale = SIDE / max(capture.width, capture.height)
     small = (max(1, round(capture.width * scale)), max(1, round(capture.height * scale)))
     masks = [cv2.resize(capture.mask(capture.frames[row]), small, interpolation=cv2.INTER_AREA) > 127 for row in rows]
     vertices = [posed_vertices(head, capture.tracking, row) for row in rows]
-    return Evidence(
+    return ConventionTest(
         tuple(rows), tuple(vertices), tuple(masks), head.faces.numpy(), scale, (capture.width, capture.height)
     )
 
 
-def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[str, float]) -> Hypothesis | None:
-    """A hypothesis under which the picture moves with the mesh much better, while its silhouettes are nearly as good.
+def photometric_alternative(capture: Capture, head: HeadModel, scores: dict[str, float]) -> Hypothesis | None:
+    """A hypothesis that explains the brightness under the mesh clearly better and the silhouettes about as well.
 
-    Silhouettes cannot tell a head that turns left from one that turns right as well as the face can.
+    Silhouettes cannot distinguish a head that turns left from one that turns right; the image of the face can.
+
+    Args:
+        capture: The capture.
+        head: Its head.
+        scores: Mean IoU by hypothesis name.
     """
     frames, now = capture.frames, capture.tracking
-    image = lru_cache(maxsize=2 * FRAMES_AT_HAND)(capture.image)
-    own = picture_change(head, now, frames, image)
+    image = lru_cache(maxsize=MAX_CACHED_IMAGES)(capture.image)
+    own = brightness_changes(head, now, frames, image)
     found: tuple[float, Hypothesis] | None = None
     for hypothesis in (*AXES[1:], *OTHERS):
         corrected = hypothesis.correct(now, capture.width, capture.height)
-        if scores[hypothesis.name] < scores["as-is"] - NEARLY or _same_cameras(now, corrected):
+        if scores[hypothesis.name] < scores["as-is"] - IOU_TIE_MARGIN or _same_cameras(now, corrected):
             continue
-        lead = own - picture_change(head, corrected, frames, image)
+        lead = own - brightness_changes(head, corrected, frames, image)
         lead = lead[np.isfinite(lead)]
         if len(lead) < 4 or lead.mean() < max(0.15 * np.nanmean(own), 3 * lead.std() / np.sqrt(len(lead))):
             continue
@@ -106,17 +114,17 @@ def rivals(evidence: Evidence, capture: Capture, head: HeadModel, scores: dict[s
     return found[1] if found else None
 
 
-def rather_late(capture: Capture, head: HeadModel, hypothesis: Hypothesis) -> bool:
-    """Whether frames paired with a neighbour's pose explain the picture under the mesh better than a hypothesis does.
+def explained_by_frame_offset(capture: Capture, head: HeadModel, hypothesis: Hypothesis) -> bool:
+    """Whether a frame offset explains the brightness under the mesh better than the hypothesis does.
 
-    Silhouettes that a late head leaves behind may fit a turned one a little better by chance.
+    The silhouettes of a head that lags behind the video may by chance fit a wrong convention slightly better.
     """
     frames, now = capture.frames, capture.tracking
     corrected = hypothesis.correct(now, capture.width, capture.height)
     if np.allclose(now.world_to_camera, corrected.world_to_camera, atol=1e-6):
         return False
     shifted = find_offset(head, now, frames, frames, capture.image).scores
-    change = float(np.nanmean(picture_change(head, corrected, frames, capture.image)))
+    change = float(np.nanmean(brightness_changes(head, corrected, frames, capture.image)))
     return bool(shifted) and min(shifted.values()) < change
 
 
@@ -128,10 +136,10 @@ def _same_cameras(left: Tracking, right: Tracking) -> bool:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Hypotheses by how well they explain the masks, best first, with mean IoU.
+    """Hypotheses ranked by how well they explain the masks.
 
     Attributes:
-        scores: Name and mean IoU.
+        scores: Name and mean IoU of every hypothesis, best first.
         best: The hypothesis that is clearly better than the tracking as it is, or None.
     """
 
@@ -139,15 +147,15 @@ class Ranking:
     best: Hypothesis | None
 
 
-def rank(evidence: Evidence, tracking: Tracking, hypotheses: Sequence[Hypothesis]) -> Ranking:
-    """Weigh hypotheses; the first is the tracking as it is.
+def rank_hypotheses(test: ConventionTest, tracking: Tracking, hypotheses: Sequence[Hypothesis]) -> Ranking:
+    """Rank hypotheses, of which the first is the tracking as it is.
 
-    Clear means by 0.01 and three standard errors over the frames.
+    Clearly better means by 0.01 IoU and by three standard errors over the frames.
     """
-    overlaps = [evidence.overlaps(tracking, hypothesis) for hypothesis in hypotheses]
+    overlaps = [test.overlaps(tracking, hypothesis) for hypothesis in hypotheses]
     order = sorted(range(len(hypotheses)), key=lambda index: -overlaps[index].mean())
     scores = tuple((hypotheses[index].name, float(overlaps[index].mean())) for index in order)
     lead = overlaps[order[0]] - overlaps[0]
     error = lead.std() / np.sqrt(max(len(lead), 1))
-    clear = order[0] != 0 and lead.mean() > max(0.01, 3 * error) and overlaps[order[0]].mean() > CONVINCING
+    clear = order[0] != 0 and lead.mean() > max(0.01, 3 * error) and overlaps[order[0]].mean() > MINIMUM_IOU
     return Ranking(scores, hypotheses[order[0]] if clear else None)

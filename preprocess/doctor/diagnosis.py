@@ -1,4 +1,4 @@
-"""Last stage and `ggavatar-doctor`: what is wrong with a capture, in words, and which flag mends it."""
+"""Diagnosis of a capture: measurements, and findings with the flag that fixes each."""
 
 from __future__ import annotations
 
@@ -14,28 +14,35 @@ from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
 from preprocess.doctor import quality
-from preprocess.doctor.convention_test import NEARLY, Evidence, Ranking, gather, rank, rather_late, rivals
+from preprocess.doctor.convention_test import (
+    IOU_TIE_MARGIN,
+    Ranking,
+    explained_by_frame_offset,
+    photometric_alternative,
+    prepare_convention_test,
+    rank_hypotheses,
+)
 from preprocess.doctor.conventions import AXES, EYES, OTHERS
 from preprocess.doctor.frame_offset import find_offset
-from preprocess.doctor.letterbox import black_bars, cut_off
+from preprocess.doctor.letterbox import black_bars, crop_flags
 from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
-LOW_OVERLAP = 0.5
+EXPECTED_IOU = 0.5
 JITTER_PIXELS, JITTER_DEGREES = 1.5, 0.6
-DIVERGING = 0.6
-"""Eyes that point apart by this much on average, degrees, are most likely swapped."""
+MAX_EYE_DIVERGENCE = 0.6
+"""Mean divergence of the eyes, degrees, from which they are most likely swapped."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something the doctor noticed.
+    """One finding of the doctor.
 
     Attributes:
-        code: Short and stable, for scripts.
+        code: Short, stable name for scripts.
         severity: "fault" (training would suffer or fail), "warning" or "note".
-        message: In words.
-        flag: What to add to the ggavatar-prep command, if a flag mends it.
+        message: The finding in words.
+        flag: What to add to the ggavatar-prep command, if a flag fixes it.
     """
 
     code: str
@@ -46,18 +53,18 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings, and the numbers behind them."""
+    """All findings and the measurements behind them."""
 
     findings: tuple[Finding, ...]
     measures: Mapping[str, Any]
 
     @property
     def healthy(self) -> bool:
-        """No faults; warnings may remain."""
+        """Whether there are no faults; warnings may remain."""
         return not any(finding.severity == "fault" for finding in self.findings)
 
     def json(self) -> dict[str, Any]:
-        """Plain values for doctor.json."""
+        """The content of doctor.json."""
         listed = [dataclasses.asdict(finding) for finding in self.findings]
         return {
             "schema": "ggavatar-doctor",
@@ -69,7 +76,7 @@ class Diagnosis:
 
 
 def examine(capture: Capture, head: HeadModel) -> Diagnosis:
-    """Measure everything and draw conclusions; a few seconds for a usual clip."""
+    """Take all measurements and derive the findings; takes a few seconds for a usual clip."""
     with one_torch_thread():
         return _examined(capture, head)
 
@@ -77,22 +84,22 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
 def _examined(capture: Capture, head: HeadModel) -> Diagnosis:
     findings: list[Finding] = []
     measures: dict[str, Any] = {}
-    evidence = gather(capture, head)
-    axes = rank(evidence, capture.tracking, AXES)
-    others = rank(evidence, capture.tracking, (AXES[0], *OTHERS))
+    test = prepare_convention_test(capture, head)
+    axes = rank_hypotheses(test, capture.tracking, AXES)
+    others = rank_hypotheses(test, capture.tracking, (AXES[0], *OTHERS))
     measures["hypotheses"] = [list(item) for item in axes.scores]
     measures["other_hypotheses"] = [list(item) for item in others.scores]
     own = dict(axes.scores)["as-is"]
     measures["silhouette_iou"] = own
     scores = dict(axes.scores) | dict(others.scores)
-    named = _convention(capture, head, (axes, others)) or _turning(capture, head, evidence, scores)
+    named = _convention(capture, head, (axes, others)) or _photometric_convention(capture, head, scores)
     findings += named or _overlap(own)
     measures["lens"] = quality.lens(capture)
     findings += _lens(measures["lens"], capture, bool(named))
     findings += _offset(capture, head, measures) if not named else []
     findings += _eyes(capture, measures)
-    findings += _steadiness(capture, measures)
-    findings += _pictures(capture, head, measures)
+    findings += _jitter(capture, measures)
+    findings += _image_quality(capture, head, measures)
     findings += _coverage(capture, measures)
     error = quality.landmark_error(capture, head)
     if error is not None:
@@ -109,45 +116,47 @@ def _convention(capture: Capture, head: HeadModel, rankings: Sequence[Ranking]) 
     chosen = max(candidates, key=lambda ranking: ranking.scores[0][1])
     assert chosen.best is not None
     before, after = dict(chosen.scores)["as-is"], chosen.scores[0][1]
-    if after - before < NEARLY and rather_late(capture, head, chosen.best):
+    if after - before < IOU_TIE_MARGIN and explained_by_frame_offset(capture, head, chosen.best):
         return []
-    message = f"{chosen.best.words}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
+    message = (
+        f"{chosen.best.description}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
+    )
     return [Finding(chosen.best.name, "fault", message, f"--resume --fix {chosen.best.name}")]
 
 
-def _turning(capture: Capture, head: HeadModel, evidence: Evidence, scores: dict[str, float]) -> list[Finding]:
-    """A convention that only shows in how the face moves; our own tracker knows ours, and still heads tell little."""
+def _photometric_convention(capture: Capture, head: HeadModel, scores: dict[str, float]) -> list[Finding]:
+    """A convention mistake that shows only in how the face moves; not tested for the built-in tracker."""
     if capture.source.get("tracking", {}).get("tracker") == "built-in":
         return []
-    rival = rivals(evidence, capture, head, scores)
-    if rival is None:
+    better = photometric_alternative(capture, head, scores)
+    if better is None:
         return []
-    message = f"{rival.words}: undoing that makes the face move with the mesh"
-    return [Finding(rival.name, "fault", message, f"--resume --fix {rival.name}")]
+    message = f"{better.description}: undoing that makes the face move with the mesh"
+    return [Finding(better.name, "fault", message, f"--resume --fix {better.name}")]
 
 
 def _overlap(own: float) -> list[Finding]:
-    if own >= LOW_OVERLAP:
+    if own >= EXPECTED_IOU:
         return []
     message = (
-        f"the mesh covers the person badly (IoU {own:.2f}, expected {LOW_OVERLAP} and more) and "
-        "no known convention explains it"
+        f"the mesh and the masks overlap poorly (IoU {own:.2f}, expected at least {EXPECTED_IOU}) and "
+        "no known convention mistake explains it"
     )
     return [
         Finding(
             "overlap",
             "fault",
-            message + "; is this the tracking of another video or another crop?",
+            message + "; check that the tracking belongs to this video and this crop",
             "--tracking, --crop",
         )
     ]
 
 
 def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[Finding]:
-    """Focal length, pixel aspect and principal point that no camera has."""
+    """Implausible focal length, pixel aspect ratio or principal point."""
     findings = []
     if not 6 <= lens["field_of_view"] <= 95:
-        focal = f"a field of view of {lens['field_of_view']:.0f}° (6° to 95° are usual)"
+        focal = f"implausible field of view of {lens['field_of_view']:.0f}° (6° to 95° are usual)"
         findings.append(
             Finding("focal", "fault", f"{focal}: the focal length belongs to another image size", "--tracker.focal")
         )
@@ -156,21 +165,21 @@ def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[
             Finding(
                 "aspect",
                 "warning",
-                f"pixels are not square: fy / fx = {lens['aspect']:.3f}; width and height may be swapped",
+                f"pixels are not square (fy / fx = {lens['aspect']:.3f}); width and height may be swapped",
             )
         )
     off = max(abs(lens["principal_x"]), abs(lens["principal_y"]))
     if off > 0.15 and not explained:
         where = f"x {lens['principal_x']:+.0%}, y {lens['principal_y']:+.0%} of the image"
         message = (
-            f"the principal point is far from the video's centre ({where}): it was not scaled or moved with the images"
+            f"the principal point is far from the video's center ({where}): it was not scaled or moved with the images"
         )
         findings.append(Finding("centre", "fault", message, "--resume --fix centre"))
     return findings
 
 
 def _offset(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
-    """Tracking that runs ahead of or behind the video."""
+    """Tracking that leads or lags the video."""
     found = find_offset(head, capture.tracking, capture.frames, capture.frames, capture.image)
     measures["offset_change"] = {str(offset): score for offset, score in found.scores.items()}
     if found.offset == 0:
@@ -185,16 +194,16 @@ def _offset(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list
 
 def _eyes(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     measures["eye_divergence_degrees"] = quality.eye_divergence(capture.tracking)
-    if measures["eye_divergence_degrees"] < DIVERGING:
+    if measures["eye_divergence_degrees"] < MAX_EYE_DIVERGENCE:
         return []
     message = (
-        f"{EYES.words}: they point apart by {measures['eye_divergence_degrees']:.1f}° on average, "
-        "which people's eyes do not do"
+        f"{EYES.description}: they point apart by {measures['eye_divergence_degrees']:.1f}° on average, "
+        "which human eyes do not do"
     )
     return [Finding(EYES.name, "fault", message, f"--resume --fix {EYES.name}")]
 
 
-def _steadiness(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
+def _jitter(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     measures["jitter"] = quality.jitter(capture.tracking)
     pixels, degrees = measures["jitter"]["pixels"], measures["jitter"]["degrees"]
     scale = max(capture.width, capture.height) / 512
@@ -204,11 +213,11 @@ def _steadiness(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     return [Finding("jitter", "warning", message + "; smooth it over time in the tracker")]
 
 
-def _pictures(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
-    measures |= quality.picture_quality(capture, head)
+def _image_quality(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
+    measures |= quality.image_quality(capture, head)
     findings, count = [], len(capture.frames)
     if len(measures["blurred"]) > 0.05 * count:
-        message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a faster shutter"
+        message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a shorter exposure"
         findings.append(Finding("blur", "warning", message))
     if len(measures["repeated"]) > 0.05 * count:
         message = (
@@ -226,25 +235,26 @@ def _bars(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     seen = [f"{thickness} px {side}" for side, thickness in zip(bars._fields, bars, strict=True) if thickness]
     if not seen:
         return []
-    message = f"black bars around the video count as person ({', '.join(seen)}); cut them off"
-    return [Finding("bars", "warning", message, cut_off(capture, bars))]
+    message = f"the masks count black bars around the video as person ({', '.join(seen)}); crop them"
+    return [Finding("bars", "warning", message, crop_flags(capture, bars))]
 
 
 def _coverage(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     measures["coverage"] = quality.coverage(capture.tracking)
     findings = []
     if len(capture.frames) < 200:
-        message = f"{len(capture.frames)} frames are few; some hundred, better 2000, make a good avatar"
+        message = (
+            f"only {len(capture.frames)} frames; a good avatar needs several hundred, better 2000, so record longer"
+        )
         findings.append(Finding("short", "warning", message))
     if measures["coverage"]["yaw_range"] < 8:
         message = (
-            f"the head turns by {measures['coverage']['yaw_range']:.0f}° only; "
-            "the avatar will not hold up from the side"
+            f"the head turns by only {measures['coverage']['yaw_range']:.0f}°; the avatar will look wrong from the side"
         )
         findings.append(Finding("yaw", "note", message))
     if measures["coverage"]["moving_expressions"] < 3:
         findings.append(
-            Finding("expression", "warning", "the expression hardly changes; the avatar cannot learn to move its face")
+            Finding("expression", "warning", "the expression hardly changes; the avatar cannot learn facial motion")
         )
     return findings
 
@@ -253,7 +263,9 @@ def _landmarks(error: float, capture: Capture) -> list[Finding]:
     limit = 3 * max(capture.width, capture.height) / 512
     if error <= limit:
         return []
-    message = f"landmarks of the mesh are {error:.1f} px from those in the image (up to {limit:.1f} expected)"
+    message = (
+        f"the mesh's landmarks are {error:.1f} px from those detected in the images (at most {limit:.1f} px expected)"
+    )
     return [Finding("landmarks", "fault", message)]
 
 
@@ -264,7 +276,7 @@ def write_report(capture: Capture, diagnosis: Diagnosis) -> None:
 
 
 def plain_values(value: Any) -> Any:
-    """Numbers of numpy as Python's, NaN as null."""
+    """The value with numpy numbers as Python numbers, and NaN and infinities as None."""
     if isinstance(value, Mapping):
         return {str(key): plain_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

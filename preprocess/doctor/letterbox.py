@@ -1,4 +1,4 @@
-"""Black bars around a video: whoever converted it left them there, and masks take them for the person."""
+"""Black bars around a video (letterboxing), which masks tend to count as person."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from ggavatar.data.capture import Capture
 from preprocess.tracking.geometry.rigid import evenly_spaced
 
 FRAMES = 9
-DARK = 20
-"""No pixel of a bar is ever brighter, in 8-bit steps; one of a hundred may be."""
-THIN = 0.008
-"""Thinner borders, over the picture's side, are let pass."""
-COUNTED = 0.25
-"""Share of a bar that masks count as person, from which it is one to speak of."""
+"""How many frames are sampled."""
+MAX_BAR_BRIGHTNESS = 20
+"""Brightness, in 8-bit levels, that at most one in a hundred pixels of a bar's line ever exceeds."""
+MIN_BAR_FRACTION = 0.008
+"""Thinnest bar that is reported, as a fraction of the image side."""
+MIN_PERSON_FRACTION = 0.25
+"""Fraction of a bar that masks must count as person for it to be reported."""
 
 
 class Bars(NamedTuple):
-    """Thickness at each side, px of the capture."""
+    """Thickness of the bar at each side, px of the capture."""
 
     left: int
     top: int
@@ -29,11 +30,11 @@ class Bars(NamedTuple):
 
 
 def black_bars(capture: Capture) -> Bars:
-    """The black bars that masks count as person; zeros where there are none."""
+    """Black bars that the masks count as person; zeros where there are none."""
     numbers = [capture.frames[row] for row in evenly_spaced(len(capture.frames), FRAMES)]
     brightest = np.max([capture.image(number).max(axis=2) for number in numbers], axis=0)
     counted = np.mean([capture.mask(number) > 127 for number in numbers], axis=0)
-    rows, columns = (np.percentile(brightest, 99, axis=axis) <= DARK for axis in (1, 0))
+    rows, columns = (np.percentile(brightest, 99, axis=axis) <= MAX_BAR_BRIGHTNESS for axis in (1, 0))
     return Bars(
         _thickness(columns, counted.T), _thickness(rows, counted),
         _thickness(columns[::-1], counted.T[::-1]), _thickness(rows[::-1], counted[::-1]),
@@ -41,14 +42,14 @@ def black_bars(capture: Capture) -> Bars:
 
 
 def _thickness(dark: Bool[np.ndarray, " N"], counted: np.ndarray) -> int:
-    """How many lines are dark from the first on, if they are many and count as person; a dark picture has no bars."""
+    """Number of dark lines from the first on, if it is large enough and they count as person, else 0."""
     thickness = int(np.argmin(dark)) if not dark.all() else 0
-    known = thickness > THIN * len(dark) and counted[:thickness].mean() > COUNTED
-    return thickness if known else 0
+    is_bar = thickness > MIN_BAR_FRACTION * len(dark) and counted[:thickness].mean() > MIN_PERSON_FRACTION
+    return thickness if is_bar else 0
 
 
-def cut_off(capture: Capture, bars: Bars) -> str:
-    """The flags that crop the source to the largest square in the middle of what its bars leave."""
+def crop_flags(capture: Capture, bars: Bars) -> str:
+    """The flags that crop the source to the largest centered square without its bars."""
     crop = capture.source.get("crop")
     if not isinstance(crop, dict) or not all(isinstance(crop.get(key), int) for key in ("x", "y", "width", "height")):
         return "--resume --crop X,Y,WIDTH,HEIGHT"

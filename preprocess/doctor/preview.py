@@ -1,4 +1,4 @@
-"""The contact sheet `preview.jpg`: frames, the masked person on white, and the mesh over the frames."""
+"""The contact sheet `preview.jpg`: frames, the masked person on white, and the mesh overlaid on the frames."""
 
 from __future__ import annotations
 
@@ -13,59 +13,69 @@ from preprocess.tracking.geometry.projection import posed_vertices, project
 
 COLUMNS, SIDE = 8, 256
 LIGHT = np.array([0.3, 0.5, 0.81])
+"""Direction towards the light in world axes."""
 
 
 def write_preview(capture: Capture, head: HeadModel) -> None:
-    """Write preview.jpg: eight moments of the clip in three rows, with their frame numbers."""
+    """Write preview.jpg: eight frames of the clip in three rows, with their frame numbers."""
     count = min(COLUMNS, len(capture.frames))
-    rows = [round(place) for place in np.linspace(0, len(capture.frames) - 1, count)]
+    rows = [round(position) for position in np.linspace(0, len(capture.frames) - 1, count)]
     columns = [_column(capture, head, row) for row in rows]
     write_jpeg(capture.folder / "preview.jpg", np.concatenate(columns, axis=1))
 
 
 def _column(capture: Capture, head: HeadModel, row: int) -> UInt8[np.ndarray, "h w 3"]:
-    """One moment: frame, cut-out, mesh over frame."""
+    """One column: the frame, the person on white, the mesh over the frame."""
     number = capture.frames[row]
     image, mask = capture.image(number), capture.mask(number)
     alpha = mask[..., None].astype(np.float32) / 255
     cutout = np.round(image * alpha + 255 * (1 - alpha)).astype(np.uint8)
     scale = SIDE / max(image.shape[:2])
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
-    small, cut = (cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (image, cutout))
-    labelled = cv2.putText(
+    small, cut = (cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in (image, cutout))
+    labeled = cv2.putText(
         small.copy(), str(number), (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 0), 1, cv2.LINE_AA
     )
-    return np.concatenate((labelled, cut, mesh_over(small, capture, head, row, scale)))
+    return np.concatenate((labeled, cut, mesh_over(small, capture, head, row, scale)))
 
 
 def mesh_over(
     image: UInt8[np.ndarray, "h w 3"], capture: Capture, head: HeadModel, row: int, scale: float, opacity: float = 0.65
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with the shaded mesh of one frame over it; faces are painted from back to front."""
+    """The image overlaid with the shaded mesh of one frame; faces are painted from back to front.
+
+    Args:
+        image: The frame at reduced size.
+        capture: The capture.
+        head: Its head.
+        row: Row of the tracking.
+        scale: Size of `image` relative to the capture.
+        opacity: Opacity of the mesh, from 0 to 1.
+    """
     tracking, faces = capture.tracking, head.faces.numpy()
     vertices = posed_vertices(head, tracking, row)
     pixels, depth = project(vertices, tracking.intrinsics[row], tracking.world_to_camera[row])
     corners = np.round((pixels[faces] * scale - 0.5) * 16)
-    shades = _shades(vertices[faces])
-    facing = _turns(corners) < 0
+    colors = _face_colors(vertices[faces])
+    facing = _signed_areas(corners) < 0
     visible = facing & (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < 1 << 18).all(axis=(1, 2))
     painted, covered = image.copy(), np.zeros(image.shape[:2], np.uint8)
     for face in np.flatnonzero(visible)[np.argsort(-depth[faces[visible]].mean(axis=1))]:
         triangle = corners[face].astype(np.int32)
-        cv2.fillConvexPoly(painted, triangle, tuple(int(channel) for channel in shades[face]), cv2.LINE_8, 4)
+        cv2.fillConvexPoly(painted, triangle, tuple(int(channel) for channel in colors[face]), cv2.LINE_8, 4)
         cv2.fillConvexPoly(covered, triangle, 255, cv2.LINE_8, 4)
-    share = opacity * (covered[..., None] / 255)
-    return np.round(painted * share + image * (1 - share)).astype(np.uint8)
+    alpha = opacity * (covered[..., None] / 255)
+    return np.round(painted * alpha + image * (1 - alpha)).astype(np.uint8)
 
 
-def _turns(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
-    """Twice the signed area of projected faces; negative where the outside is seen (y points down)."""
+def _signed_areas(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
+    """Twice the signed areas of projected faces; negative where the outside is visible (y points down)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
-def _shades(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
-    """A colour for every face: light blue, darker where it is turned away from the light."""
+def _face_colors(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
+    """A color for every face: light blue, darker where the face is turned away from the light."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT, 0, 1)

@@ -1,7 +1,4 @@
-"""What can be measured about a capture without knowing the truth.
-
-Lens, distance, jitter, blur, repeats, expressiveness.
-"""
+"""Quality measures of a capture without ground truth: lens, jitter, blur, repeated frames, range of motion."""
 
 from __future__ import annotations
 
@@ -16,17 +13,18 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
-BLURRED = 0.3
-"""A frame is blurred if its sharpness falls below this part of the clip's median."""
+MIN_RELATIVE_SHARPNESS = 0.3
+"""Sharpness, relative to the clip's median, below which a frame counts as blurred."""
 
-REPEATED = 0.15
-"""Two neighbouring frames are the same if they differ by less than this, in 8-bit steps."""
+MAX_REPEAT_DIFFERENCE = 0.15
+"""Mean difference of neighboring frames, in 8-bit levels, below which the second counts as a repeat."""
 
 
 def lens(capture: Capture) -> dict[str, float]:
-    """Field of view in degrees and the principal point's distance from the source's centre.
+    """Field of view, pixel aspect ratio and principal point.
 
-    As part of its width and height.
+    The field of view is in degrees; the principal point is relative to the source's center, as a fraction of the
+    capture's width and height.
     """
     intrinsics = np.median(capture.tracking.intrinsics.astype(np.float64), axis=0)
     crop = capture.source.get("crop", {}) if isinstance(capture.source.get("crop"), dict) else {}
@@ -40,7 +38,7 @@ def lens(capture: Capture) -> dict[str, float]:
 
 
 def _source_center(capture: Capture, crop: dict[str, Any]) -> tuple[float, float]:
-    """The source's centre in px of the capture; the capture's own centre if the crop is not known."""
+    """The source's center in px of the capture; the capture's own center if the crop is not known."""
     keys = ("x", "y", "width", "height")
     known = all(isinstance(crop.get(key), int) for key in keys) and crop["width"] > 0 and crop["height"] > 0
     size = [capture.source.get(key) for key in ("width", "height")]
@@ -51,18 +49,18 @@ def _source_center(capture: Capture, crop: dict[str, Any]) -> tuple[float, float
     return x, y
 
 
-def head_center(tracking: Tracking) -> Float[np.ndarray, "T 3"]:
-    """The head's position in camera metres."""
+def head_positions(tracking: Tracking) -> Float[np.ndarray, "T 3"]:
+    """The head's position in camera coordinates, m."""
     rotations, offsets = tracking.world_to_camera[:, :3, :3], tracking.world_to_camera[:, :3, 3]
     return np.einsum("tij,tj->ti", rotations, tracking.translation) + offsets
 
 
 def jitter(tracking: Tracking) -> dict[str, float]:
-    """Root mean square of what a second difference sees: px across the image, degrees of rotation.
+    """Median second difference of head position (px in the image) and direction (degrees), scaled to one frame's error.
 
     0 for any steady motion.
     """
-    centers = head_center(tracking)
+    centers = head_positions(tracking)
     image = np.einsum("tij,tj->ti", tracking.intrinsics, centers)
     pixels = image[:, :2] / np.where(np.abs(image[:, 2:]) > 1e-6, image[:, 2:], 1e-6)
     if len(pixels) < 3:
@@ -70,7 +68,7 @@ def jitter(tracking: Tracking) -> dict[str, float]:
     second = np.diff(pixels, 2, axis=0) / np.sqrt(6)
     forward = tracking.world_to_camera[:, :3, 2].astype(np.float64)
     turned = np.degrees(np.diff(forward, 2, axis=0)) / np.sqrt(6)
-    # The median ignores real, sudden motion.
+    # The median ignores real sudden motion.
     return {
         "pixels": float(np.median(np.linalg.norm(second, axis=1))),
         "degrees": float(np.median(np.linalg.norm(turned, axis=1))),
@@ -78,14 +76,14 @@ def jitter(tracking: Tracking) -> dict[str, float]:
 
 
 def eye_divergence(tracking: Tracking) -> float:
-    """Mean angle by which the eyes point apart, degrees; people's eyes are parallel or converge (negative)."""
+    """Mean angle by which the eyes diverge, degrees; human eyes are parallel or converge (negative)."""
     if tracking.joint_rotations.shape[1] < 5:
         return 0.0
     return float(np.degrees((tracking.joint_rotations[:, 3, 1] - tracking.joint_rotations[:, 4, 1]).mean()))
 
 
 def coverage(tracking: Tracking) -> dict[str, Any]:
-    """How much of the face's range the clip shows."""
+    """Range of motion in the clip: active expressions and their spread, yaw range and jaw range in degrees."""
     spread = tracking.expression.std(axis=0)
     forward = tracking.world_to_camera[:, :3, 2].astype(np.float64)
     yaw = np.degrees(np.arctan2(forward[:, 0], np.maximum(np.abs(forward[:, 2]), 1e-6)))
@@ -98,33 +96,37 @@ def coverage(tracking: Tracking) -> dict[str, Any]:
     }
 
 
-def picture_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
-    """Blurred and repeated frames; sharpness is measured within the masked person."""
+def image_quality(capture: Capture, head: HeadModel) -> dict[str, Any]:
+    """Blurred and repeated frames and the median sharpness, which is measured within the masked person."""
     sharpness, repeated, before = [], [], None
-    looked = ordered_map(lambda number: _look(capture, number), capture.frames)
-    for number, (grey, detail) in zip(capture.frames, looked, strict=True):
+    measured = ordered_map(lambda number: _gray_and_sharpness(capture, number), capture.frames)
+    for number, (gray, detail) in zip(capture.frames, measured, strict=True):
         sharpness.append(detail)
-        if before is not None and float(cv2.absdiff(grey, before).mean()) < REPEATED:
+        if before is not None and float(cv2.absdiff(gray, before).mean()) < MAX_REPEAT_DIFFERENCE:
             repeated.append(number)
-        before = grey
+        before = gray
     typical = float(np.median(sharpness))
-    blurred = [number for number, value in zip(capture.frames, sharpness, strict=True) if value < BLURRED * typical]
+    blurred = [
+        number
+        for number, value in zip(capture.frames, sharpness, strict=True)
+        if value < MIN_RELATIVE_SHARPNESS * typical
+    ]
     return {"sharpness": typical, "blurred": blurred, "repeated": repeated}
 
 
-def _look(capture: Capture, number: int) -> tuple[UInt8[np.ndarray, "H W"], float]:
-    """One image in grey and how sharp it is within the person."""
-    grey = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
+def _gray_and_sharpness(capture: Capture, number: int) -> tuple[UInt8[np.ndarray, "H W"], float]:
+    """One image in gray and its sharpness within the person."""
+    gray = cv2.cvtColor(capture.image(number), cv2.COLOR_RGB2GRAY)
     mask = cv2.erode(capture.mask(number), np.ones((5, 5), np.uint8)) > 127
-    return grey, float(cv2.Laplacian(grey, cv2.CV_32F)[mask].std()) if mask.any() else 0.0
+    return gray, float(cv2.Laplacian(gray, cv2.CV_32F)[mask].std()) if mask.any() else 0.0
 
 
 def landmark_error(capture: Capture, head: HeadModel) -> float | None:
-    """Median distance of projected landmarks to detected ones, px; None if the head does not say where they are."""
-    landmarks, place = capture.tracking.landmarks, landmark_places(head)
-    if landmarks is None or place is None or landmarks.shape[1] < len(place[0]):
+    """Median distance between projected and detected landmarks, px; None without landmarks or their embedding."""
+    landmarks, embedding = capture.tracking.landmarks, landmark_embedding(head)
+    if landmarks is None or embedding is None or landmarks.shape[1] < len(embedding[0]):
         return None
-    (corners, weights), distances = place, []
+    (corners, weights), distances = embedding, []
     placed = np.flatnonzero(weights.any(axis=1))
     for row in range(0, len(capture.frames), max(1, len(capture.frames) // 100)):
         vertices = posed_vertices(head, capture.tracking, row)
@@ -135,7 +137,7 @@ def landmark_error(capture: Capture, head: HeadModel) -> float | None:
     return float(np.nanmedian(found)) if np.isfinite(found).any() else None
 
 
-def landmark_places(head: HeadModel) -> tuple[Int[np.ndarray, "L K"], Float[np.ndarray, "L K"]] | None:
+def landmark_embedding(head: HeadModel) -> tuple[Int[np.ndarray, "L K"], Float[np.ndarray, "L K"]] | None:
     """Vertices and weights of the head's landmarks (docs/capture-format.md); None if it has none."""
     rows = head.regions.get("landmarks")
     if rows is None or not len(rows):

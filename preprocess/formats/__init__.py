@@ -1,1 +1,1 @@
-"""Other trackers' output, read into our conventions."""
+"""Readers and writers of other trackers' files, converted to our conventions."""

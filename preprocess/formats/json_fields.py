@@ -1,4 +1,8 @@
-"""Reading the JSON files of other tools: every value is checked, and paths in them never lead out of their folder."""
+"""Checked fields of other tools' JSON files, and conversions of the cameras in them.
+
+Written by hand, not with pydantic or msgspec: the checks are array shapes, finite numbers and paths that stay in their
+folder, which neither library offers; both would be an added dependency.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +17,23 @@ from jaxtyping import Float
 from ggavatar.errors import InputError
 
 MAX_FRAMES = 200_000
+"""More frames than any video that is tracked."""
 
 
 def frame_list(path: Path, data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The objects under "frames"; `InputError` if there are none, or too many to be a video."""
+    """The objects under "frames"; `InputError` if there are none or too many."""
     frames = data.get("frames")
     if not isinstance(frames, list) or not frames or len(frames) > MAX_FRAMES:
-        raise InputError(f'{path}: expected "frames" to list 1 to {MAX_FRAMES} frames')
+        raise InputError(
+            f'{path}: expected "frames" to be a list of 1 to {MAX_FRAMES} frames; export the tracking again'
+        )
     if not all(isinstance(frame, dict) for frame in frames):
         raise InputError(f'{path}: expected every entry of "frames" to be an object')
     return frames
 
 
-def number(path: Path, data: Mapping[str, Any], key: str) -> float:
-    """A finite number."""
+def finite_number(path: Path, data: Mapping[str, Any], key: str) -> float:
+    """The finite number under `key`; `InputError` naming the file if it is anything else."""
     value = data.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
         raise InputError(f"{path}: expected {key!r} to be a number, found {value!r:.60}")
@@ -34,63 +41,67 @@ def number(path: Path, data: Mapping[str, Any], key: str) -> float:
 
 
 def image_size(path: Path, data: Mapping[str, Any]) -> tuple[int, int]:
-    """Width and height in px from "w" and "h"."""
-    width, height = (round(number(path, data, key)) for key in ("w", "h"))
+    """Width and height in px from "w" and "h"; `InputError` if they are no image size."""
+    width, height = (round(finite_number(path, data, key)) for key in ("w", "h"))
     if not (1 <= width <= 16384 and 1 <= height <= 16384):
-        raise InputError(f"{path}: an image of {width}×{height} px; 1 to 16384 px are possible")
+        raise InputError(f'{path}: expected "w" and "h" from 1 to 16384 px, found {width}×{height}')
     return width, height
 
 
-def array(path: Path, value: object, shape: Sequence[int | None], what: str) -> Float[np.ndarray, "..."]:
-    """Nested lists as an array of a given shape; None fits any size."""
+def number_array(path: Path, value: object, shape: Sequence[int | None], what: str) -> Float[np.ndarray, "..."]:
+    """Nested lists as an array of the given shape, in which None fits any size.
+
+    Raises:
+        InputError: Not numbers, not finite, or of another shape; the message names the file and `what`.
+    """
     try:
         found = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: expected {what} to be numbers of shape {_shown(shape)}") from error
+        raise InputError(f"{path}: expected {what} to be numbers of shape {_shape_text(shape)}") from error
     fits = found.ndim == len(shape) and all(
         want in (None, size) for want, size in zip(shape, found.shape, strict=False)
     )
     if not fits or not np.isfinite(found).all():
         raise InputError(
-            f"{path}: expected {what} to be finite numbers of shape {_shown(shape)}, found shape {found.shape}"
+            f"{path}: expected {what} to be finite numbers of shape {_shape_text(shape)}, found shape {found.shape}"
         )
     return found
 
 
-def _shown(shape: Sequence[int | None]) -> str:
+def _shape_text(shape: Sequence[int | None]) -> str:
     return "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
 
 
 def last_number(path: Path, text: object) -> int:
-    """The last number in a name such as "./image/17" or "images/00017.png"."""
+    """The last number in a name such as "./image/17" or "images/00017.png"; `InputError` without one."""
     found = re.findall(r"\d+", text) if isinstance(text, str) else []
     if not found or len(found[-1]) > 9:
-        raise InputError(f"{path}: expected a file name with the frame's number in it, found {text!r:.60}")
+        raise InputError(f"{path}: expected a file name with the frame number in it, found {text!r:.60}")
     return int(found[-1])
 
 
-def inside(path: Path, relative: object) -> Path:
-    """A file named in `path`, which must lie in the same folder or below."""
+def path_inside(path: Path, relative: object) -> Path:
+    """A file that `path` names relative to its own folder; `InputError` if it lies outside of that."""
     folder = path.parent.resolve()
     if not isinstance(relative, str) or "\0" in relative or len(relative) > 1000:
         raise InputError(f"{path}: expected a file name, found {relative!r:.60}")
     target = (folder / relative).resolve()
     if not target.is_relative_to(folder):
-        raise InputError(f"{path}: refused, it names the file {relative!r:.80} outside its own folder")
+        raise InputError(f"{path}: expected file names within its own folder, found {relative!r:.80}")
     return target
 
 
-def camera_to_world_gl(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """World-to-camera in OpenCV axes from a camera-to-world matrix in OpenGL axes (x right, y up, z backwards)."""
-    return invert(matrix @ np.diag([1.0, -1.0, -1.0, 1.0]))
+def pose_from_opengl(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """World-to-camera in OpenCV axes from camera-to-world in OpenGL axes (x right, y up, z backwards)."""
+    return invert_pose(matrix @ np.diag([1.0, -1.0, -1.0, 1.0]))
 
 
-def world_to_camera_gl(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """The inverse of `camera_to_world_gl`: camera-to-world in OpenGL axes from world-to-camera in OpenCV axes."""
-    return invert(pose) @ np.diag([1.0, -1.0, -1.0, 1.0])
+def pose_to_opengl(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Camera-to-world in OpenGL axes from world-to-camera in OpenCV axes; the inverse of `pose_from_opengl`."""
+    return invert_pose(pose) @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def invert(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+def invert_pose(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """The inverse of a rigid transform."""
     result = np.eye(4)
     result[:3, :3] = matrix[:3, :3].T
@@ -99,5 +110,5 @@ def invert(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
 
 
 def camera_matrix(focal_x: float, focal_y: float, center_x: float, center_y: float) -> Float[np.ndarray, "3 3"]:
-    """Intrinsics as a matrix."""
+    """The intrinsics matrix of focal lengths and principal point, px."""
     return np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 1.0]])

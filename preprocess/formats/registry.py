@@ -1,4 +1,4 @@
-"""The foreign formats, one file each in `preprocess/formats/importers/`: the file name is the format's name."""
+"""Formats of other trackers: every module in `preprocess/formats/importers/` is one, under its own name."""
 
 from __future__ import annotations
 
@@ -14,35 +14,39 @@ from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 
 SWAPPED_SIZE = "swapped-size"
-"""The `--fix` that must be applied before the crop is chosen."""
+"""The `--fix` that is applied before the crop is chosen."""
 
 
 @runtime_checkable
 class Importer(Protocol):
-    """What a module in `preprocess/formats/importers/` offers."""
+    """The interface of a module in `preprocess/formats/importers/`.
+
+    Attributes:
+        TITLE: The tools and the files that the format consists of, for messages.
+    """
 
     TITLE: str
 
-    def recognises(self, folder: Path) -> bool:
-        """Whether the folder or file looks like this format; cheap, never raises for foreign content."""
+    def recognizes(self, folder: Path) -> bool:
+        """Whether the folder or file looks like this format; cheap, never raises for other content."""
         ...
 
     def read(self, folder: Path) -> TrackingRecord:
-        """Read it in our conventions; `InputError` naming the file for anything wrong."""
+        """Read the tracking in our conventions; `InputError` naming the file for anything wrong."""
         ...
 
     def write(self, folder: Path, record: TrackingRecord) -> None:
-        """Write the format, as exactly as it can hold the tracking."""
+        """Write the format as exactly as it can hold the tracking; `InputError` if it cannot."""
         ...
 
 
 def importer_names() -> list[str]:
-    """Names of all formats."""
+    """Names of all formats in alphabetical order."""
     return sorted(module.name for module in pkgutil.iter_modules(preprocess.formats.importers.__path__))
 
 
 def importer(name: str) -> Importer:
-    """A format by name (dashes count as underscores); `InputError` listing all if there is none."""
+    """The format of that name, dashes read as underscores; `InputError` listing all names if there is none."""
     names = importer_names()
     wanted = name.replace("-", "_")
     if wanted not in names:
@@ -51,26 +55,26 @@ def importer(name: str) -> Importer:
 
 
 def detect_format(folder: Path) -> str:
-    """The format of a folder or file; `InputError` if none or several recognise it."""
+    """The name of the format of a folder or file; `InputError` if none or several recognize it."""
     if not folder.exists():
-        raise InputError(f"{folder}: no such file or folder; --tracking wants the output of another tracker")
-    found = [name for name in importer_names() if importer(name).recognises(folder)]
+        raise InputError(f"{folder}: no such file or folder; --tracking expects the output of another tracker")
+    found = [name for name in importer_names() if importer(name).recognizes(folder)]
     if len(found) == 1:
         return found[0]
     formats = "; ".join(f"{name} ({importer(name).TITLE})" for name in importer_names())
     what = (
         f"looks like {' and '.join(found)}: choose one with --format"
         if found
-        else f"no known tracking in it. Known: {formats}"
+        else f"expected the output of a known tracker, found none. Known formats: {formats}"
     )
     raise InputError(f"{folder}: {what}")
 
 
-def read_foreign(options: PrepOptions) -> tuple[str, TrackingRecord]:
-    """Read the tracking that `--tracking` names; also gives the format's name, detected unless `--format` says it."""
+def read_tracking_record(options: PrepOptions) -> tuple[str, TrackingRecord]:
+    """The format's name, detected unless `--format` gives it, and the tracking that `--tracking` names."""
     folder = options.tracking
     if folder is None:
-        raise InputError("--tracking is not given")
+        raise InputError("expected --tracking with the output of another tracker")
     name = detect_format(folder) if options.format == "auto" else options.format
     record = importer(name).read(folder)
     if SWAPPED_SIZE in options.fix:

@@ -1,4 +1,4 @@
-"""Tracking as another tool wrote it, in our conventions but not yet paired with the frames of a video."""
+"""The tracking record: another tracker's output in our conventions, not yet paired with the frames of a video."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ class TrackingRecord:
     """Cameras and FLAME parameters of T frames in the conventions of docs/conventions.md.
 
     Attributes:
-        numbers: Frame numbers as the files count them, ascending; where they start differs from tool to tool.
-        width: Of the image that the intrinsics belong to, px.
-        height: Of the same image, px.
-        intrinsics: px.
-        world_to_camera: Rigid, metres, OpenCV axes.
+        numbers: Frame numbers as in the files, ascending; the first number differs between tools.
+        width: Width of the images that the intrinsics belong to, px.
+        height: Height of the same images, px.
+        intrinsics: Camera matrices, px.
+        world_to_camera: Rigid transforms in OpenCV axes, m.
         expression: FLAME's expression coefficients.
-        joint_rotations: Axis-angle of root, neck, jaw, left eye, right eye, rad.
-        eyelids: Closing of the lids (metrical-tracker, SMIRK), else zeros.
-        translation: m.
+        joint_rotations: Axis-angle of root, neck, jaw, left eye and right eye, rad.
+        eyelids: Closing of the left and right lid (metrical-tracker, SMIRK), else zeros.
+        translation: Translation of the head, m.
         shape: Identity coefficients, if the format has them.
-        version: FLAME version the coefficients belong to by the tool's default; None if they are not FLAME's.
+        version: FLAME version that the coefficients belong to by the tool's default; None if they are not FLAME's.
         notes: What could not be represented or was assumed, for the report.
-        extra: Arrays a writer may need for an exact round trip.
+        extra: Further arrays of the format, such as VHAP's "static_offset".
     """
 
     numbers: Int[np.ndarray, " T"]
@@ -49,21 +49,16 @@ class TrackingRecord:
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
-    def rows(self, chosen: np.ndarray) -> TrackingRecord:
-        """The tracking of some rows."""
-        names = ("numbers", "intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
-        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in names})
-
 
 def stacked(source: object, rows: Sequence[np.ndarray], what: str) -> np.ndarray:
-    """Rows of all frames as one array; `InputError` naming the source if frames have different numbers of them."""
+    """One row per frame as one array; `InputError` naming the source if the rows differ in length."""
     if len({row.shape for row in rows}) != 1:
-        raise InputError(f"{source}: frames have different numbers of {what}; track the video in one go")
+        raise InputError(f"{source}: expected the same number of {what} in all frames; track the video in a single run")
     return np.stack(rows)
 
 
 def require_finite(source: object, record: TrackingRecord) -> TrackingRecord:
-    """The record itself; `InputError` naming the source if a number is NaN, infinite or absurdly large."""
+    """The record, unchanged; `InputError` naming the source if a number is NaN, infinite or above 10⁶ in magnitude."""
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
@@ -72,7 +67,7 @@ def require_finite(source: object, record: TrackingRecord) -> TrackingRecord:
                 first = int(np.argwhere(bad)[0][0])
                 where = f"frame {int(record.numbers[first])}" if item.name != "shape" else "the identity"
                 raise InputError(
-                    f"{source}: {item.name} of {where} is NaN, infinite or absurdly large; track the video again "
-                    "or drop it"
+                    f"{source}: {item.name} of {where} is NaN, infinite or above 10⁶ in magnitude; track the video "
+                    "again or leave the frame out"
                 )
     return record

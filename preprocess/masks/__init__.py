@@ -1,1 +1,1 @@
-"""Foreground masks: networks, GrabCut, masks made elsewhere."""
+"""Foreground masks: matting networks, GrabCut, and pairing of the user's masks."""

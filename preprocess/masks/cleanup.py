@@ -1,4 +1,4 @@
-"""From coverage to a clean 8-bit mask of one person."""
+"""Conversion of coverage to a clean 8-bit mask of one person."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 
-def to_mask(coverage: Float[np.ndarray, "h w"], width: int, height: int) -> UInt8[np.ndarray, "H W"]:
-    """Coverage in [0, 1] as 8-bit mask of the wanted size."""
+def coverage_to_mask(coverage: Float[np.ndarray, "h w"], width: int, height: int) -> UInt8[np.ndarray, "H W"]:
+    """Coverage in [0, 1] as an 8-bit mask of the given size."""
     if coverage.shape != (height, width):
         coverage = cv2.resize(coverage, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.round(np.clip(coverage, 0, 1) * 255).astype(np.uint8)
 
 
-def only_person(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
-    """The mask without anything that is not connected to its largest part, and without small holes in it."""
+def keep_largest_component(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
+    """The mask's largest connected component with small holes filled."""
     labels = cv2.connectedComponents((mask > 16).astype(np.uint8))[1]
     areas = np.bincount(labels.ravel())
     if len(areas) <= 1:

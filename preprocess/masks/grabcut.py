@@ -1,4 +1,4 @@
-"""Masks without any model: GrabCut from a guess of head and shoulders. A fallback that says it is one."""
+"""Masks without a network: GrabCut initialized with a guess of head and shoulders. A fallback, and it says so."""
 
 from __future__ import annotations
 
@@ -10,38 +10,42 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ggavatar.errors import InputError
-from preprocess.masks.cleanup import only_person
+from preprocess.masks.cleanup import keep_largest_component
 
 SIDE = 256
 BAND = 8
-"""How far the outline may move from one frame to the next, px of 256."""
+"""How far the outline may move from one frame to the next, px at 256 × 256."""
 
 
 class GrabCutMatting:
-    """Colour models of person and background, carried from frame to frame."""
+    """Color models of person and background, carried from frame to frame."""
 
     name = "grabcut"
     warnings: tuple[str, ...] = (
-        "masks by GrabCut are a fallback: it loses grey clothes on grey walls and keeps furniture behind the person. "
-        "Look at preview.jpg, or use --masks selfie or masks of your own",
+        "GrabCut masks are a fallback: they lose gray clothes on gray walls and keep furniture behind the person. "
+        "Check preview.jpg, or use --masks selfie or a folder of masks",
     )
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """One mask an image."""
+        """The mask of every image.
+
+        Raises:
+            InputError: No face in the first image.
+        """
         labels: np.ndarray | None = None
         for image in images:
             small = cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
             start = _initial_labels(small) if labels is None else _labels_around(labels)
-            labels = _cut(small, start, iterations=3 if labels is None else 1)
+            labels = _run_grabcut(small, start, iterations=3 if labels is None else 1)
             soft = cv2.GaussianBlur(labels.astype(np.float32), (0, 0), 1.0)
             mask = cv2.resize(soft, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
-            yield only_person(np.round(np.clip(mask, 0, 1) * 255).astype(np.uint8))
+            yield keep_largest_component(np.round(np.clip(mask, 0, 1) * 255).astype(np.uint8))
 
 
-def _cut(
+def _run_grabcut(
     small: UInt8[np.ndarray, "h w 3"], labels: UInt8[np.ndarray, "h w"], iterations: int
 ) -> UInt8[np.ndarray, "h w"]:
-    """1 for the person, 0 elsewhere. OpenCV's generator is seeded, so that a clip always gets the same masks."""
+    """1 for the person, 0 elsewhere; OpenCV's generator is seeded, so a clip always gets the same masks."""
     cv2.setRNGSeed(0)
     background, person = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.grabCut(
@@ -51,13 +55,11 @@ def _cut(
 
 
 def _initial_labels(small: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
-    """Sure background, probable person (an ellipse and a trapezoid below the face) and sure face."""
+    """Labels: definite background, probable person (an ellipse and a trapezoid below the face), definite face."""
     cascade = cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
     faces = cascade.detectMultiScale(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), 1.1, 4, minSize=(24, 24))
     if not len(faces):
-        raise InputError(
-            "--masks grabcut: no face found in the first frame to start from; use --masks selfie or masks of your own"
-        )
+        raise InputError("--masks grabcut: no face found in the first frame; use --masks selfie or a folder of masks")
     x, y, width, height = max(faces, key=lambda face: face[2] * face[3])
     center = (int(x + width / 2), int(y + height / 2))
     labels = np.full((SIDE, SIDE), cv2.GC_BGD, np.uint8)
@@ -72,7 +74,7 @@ def _initial_labels(small: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w
 
 
 def _labels_around(person: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Only a band around the last outline is undecided."""
+    """GrabCut labels that leave only a band around the last outline undecided."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND + 1, 2 * BAND + 1))
     labels = np.where(person > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[cv2.erode(person, disc) > 0] = cv2.GC_FGD

@@ -1,7 +1,4 @@
-"""Soft foreground masks for a clip.
-
-A network's coverage, steadied over time, reduced to the person and given a crisp edge.
-"""
+"""Soft foreground masks for a clip: network coverage, smoothed over time, reduced to one person, edges sharpened."""
 
 from __future__ import annotations
 
@@ -16,49 +13,46 @@ from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.masks.cleanup import only_person, to_mask
+from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
 from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
-"""The network's coverage reaches a little too far.
+"""Coverage level that becomes 0.5, and contrast around it: the network's coverage extends slightly too far.
 
 Measured against a chroma key in docs/experiments/2026-11-22-mask-quality-and-frame-offsets.md.
 """
 
 STILL_DIFFERENCE = 0.03
-"""Difference between neighbouring frames, in [0, 1].
+"""Difference between neighboring frames, in [0, 1], below which a pixel's coverage is averaged over time."""
 
-Below which a pixel counts as still and its coverage is averaged over time.
-"""
-
-_MEAN = np.full((1, 3), 1 / 3, np.float32)
-"""Of three channels, as a matrix."""
+_CHANNEL_MEAN = np.full((1, 3), 1 / 3, np.float32)
+"""Mean of three channels as a matrix."""
 
 
 @runtime_checkable
 class Matting(Protocol):
-    """A way to make masks for a whole clip."""
+    """A method that makes masks for a whole clip."""
 
     @property
     def name(self) -> str:
-        """For provenance."""
+        """Name in the capture's provenance."""
         ...
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know about masks of this kind."""
+        """Known weaknesses of these masks, for the user."""
         ...
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """8-bit masks of the clip's images, in order and of their size; a few images are held at a time."""
+        """8-bit masks of the clip's images, in order and of the same size; only a few images are held at a time."""
         ...
 
 
 def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
-    """The matting for `--masks`: auto and selfie use the network, grabcut needs none, a file is the user's RVM.
+    """The matting method for `--masks`: MediaPipe's network, GrabCut, or RVM from the user's file.
 
     Raises:
-        InputError: No such file, or a file that is no such network.
+        InputError: No such file, or not an RVM network.
     """
     if wanted in ("auto", "selfie"):
         from ggavatar.pretrained.catalogue import resolve
@@ -72,30 +66,30 @@ def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
     if not path.is_file():
         raise InputError(f"--masks {wanted}: no such file or folder; expected one, or auto, selfie, grabcut")
     if path.suffix.lower() == ".onnx":
-        return PlainMatting(RvmOnnx(path), f"rvm ({path.name})")
-    return PlainMatting(RvmTorchScript(path), f"rvm ({path.name})")
+        return VideoMatting(RvmOnnx(path), f"rvm ({path.name})")
+    return VideoMatting(RvmTorchScript(path), f"rvm ({path.name})")
 
 
 @dataclass(frozen=True)
-class PlainMatting:
-    """A video network's own alpha, taken as it is."""
+class VideoMatting:
+    """A video matting network's alpha, unchanged."""
 
     network: MaskNetwork
     name: str
     warnings: tuple[str, ...] = ()
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """Alpha of each image, 8 bits."""
+        """The alpha of every image as an 8-bit mask."""
         for image in images:
-            yield to_mask(self.network.coverage(image), image.shape[1], image.shape[0])
+            yield coverage_to_mask(self.network.coverage(image), image.shape[1], image.shape[0])
 
 
 @dataclass(frozen=True)
 class SelfieMatting:
-    """Selfie segmentation of single images, made steady.
+    """Selfie segmentation of single images, smoothed over time.
 
-    Every second image is seen mirrored: averaged over time, that is as accurate as looking twice at each and costs
-    half.
+    Every second image is mirrored for the network: averaged over time, that is as accurate as running the network on
+    each image and its mirror image, at half the cost.
     """
 
     network: MaskNetwork
@@ -103,51 +97,53 @@ class SelfieMatting:
     warnings: tuple[str, ...] = ()
 
     def masks(self, images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-        """Masks with one image of look-ahead; threads finish some while the network sees others."""
-        return ordered_map(lambda three: _finished(*three), self._neighbours(images))
+        """Masks with one image of look-ahead; threads post-process some while the network works on others."""
+        return ordered_map(lambda three: _final_mask(*three), self._with_neighbors(images))
 
-    def _neighbours(self, images: Iterable[np.ndarray]) -> Iterator[tuple[_Seen | None, _Seen, _Seen | None]]:
-        """Every image as it is seen, between the one before and the one after."""
-        past: _Seen | None = None
-        now: _Seen | None = None
+    def _with_neighbors(
+        self, images: Iterable[np.ndarray]
+    ) -> Iterator[tuple[_Observation | None, _Observation, _Observation | None]]:
+        """Every observation with the one before and the one after."""
+        past: _Observation | None = None
+        now: _Observation | None = None
         for index, image in enumerate(images):
-            ahead = self._see(image, mirrored=index % 2 == 1)
+            ahead = self._observe(image, mirrored=index % 2 == 1)
             if now is not None:
                 yield past, now, ahead
             past, now = now, ahead
         if now is not None:
             yield past, now, None
 
-    def _see(self, image: np.ndarray, mirrored: bool) -> _Seen:
+    def _observe(self, image: np.ndarray, mirrored: bool) -> _Observation:
         coverage = self.network.coverage(cv2.flip(image, 1) if mirrored else image)
         coverage = cv2.flip(coverage, 1) if mirrored else coverage
         small = cv2.resize(image, coverage.shape[::-1], interpolation=cv2.INTER_AREA)
-        return _Seen(coverage, small.astype(np.float32) / 255, image.shape[1], image.shape[0])
+        return _Observation(coverage, small.astype(np.float32) / 255, image.shape[1], image.shape[0])
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Coverage and look of one image at the network's resolution, and the image's size."""
+class _Observation:
+    """Coverage and colors of one image at the network's resolution, and the image's size in px."""
 
     coverage: Float[np.ndarray, "h w"]
-    look: Float[np.ndarray, "h w 3"]
+    colors: Float[np.ndarray, "h w 3"]
     width: int
     height: int
 
 
-def _finished(past: _Seen | None, now: _Seen, ahead: _Seen | None) -> UInt8[np.ndarray, "H W"]:
+def _final_mask(past: _Observation | None, now: _Observation, ahead: _Observation | None) -> UInt8[np.ndarray, "H W"]:
     """The mask of one image."""
-    steady = steadied(now, [other for other in (past, ahead) if other is not None])
-    wide = cv2.resize(steady, (now.width, now.height), interpolation=cv2.INTER_LINEAR)
-    return only_person(to_mask((wide - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
+    smooth = average_over_time(now, [other for other in (past, ahead) if other is not None])
+    large = cv2.resize(smooth, (now.width, now.height), interpolation=cv2.INTER_LINEAR)
+    return keep_largest_component(coverage_to_mask((large - EDGE_LEVEL) * EDGE_GAIN + 0.5, now.width, now.height))
 
 
-def steadied(now: _Seen, others: list[_Seen]) -> Float[np.ndarray, "h w"]:
-    """Coverage averaged with the neighbouring images' where the picture stands still; where it moves, its own."""
+def average_over_time(now: _Observation, others: list[_Observation]) -> Float[np.ndarray, "h w"]:
+    """Coverage averaged with the neighboring images' where nothing moves, and the image's own where something does."""
     total, weight = now.coverage.copy(), np.ones_like(now.coverage)
     for other in others:
-        difference = cv2.blur(cv2.transform(cv2.absdiff(other.look, now.look), _MEAN), (3, 3))
-        share = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
-        total += share * other.coverage
-        weight += share
+        difference = cv2.blur(cv2.transform(cv2.absdiff(other.colors, now.colors), _CHANNEL_MEAN), (3, 3))
+        similarity = 0.5 * np.exp(-((difference / STILL_DIFFERENCE) ** 2)).astype(np.float32)
+        total += similarity * other.coverage
+        weight += similarity
     return total / weight

@@ -1,7 +1,4 @@
-"""Networks that tell a person from the background in one image.
-
-MediaPipe's selfie segmentation, and the user's own RVM file.
-"""
+"""Networks that segment a person: MediaPipe's selfie segmentation, and Robust Video Matting from the user's file."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ SELFIE_SIDE = 256
 
 @runtime_checkable
 class MaskNetwork(Protocol):
-    """A network that sees one image after the other."""
+    """A network that is given the images of a clip in order."""
 
     def coverage(self, image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w"]:
         """Foreground coverage in [0, 1], at the network's own resolution."""
@@ -28,13 +25,17 @@ class MaskNetwork(Protocol):
 
 
 class SelfieNetwork:
-    """MediaPipe selfie segmentation through OpenCV's DNN; 256² in, 256² out."""
+    """MediaPipe selfie segmentation through OpenCV's DNN module, at 256 × 256 px.
+
+    Raises:
+        InputError: OpenCV cannot load the file.
+    """
 
     def __init__(self, path: Path) -> None:
         try:
             self._network = cv2.dnn.readNetFromTFLite(str(path))
         except cv2.error as error:
-            raise InputError(f"{path}: OpenCV cannot load this network ({error.err}); fetch it again") from error
+            raise InputError(f"{path}: OpenCV cannot load this network ({error.err}); download it again") from error
 
     def coverage(self, image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w"]:
         """Foreground coverage in [0, 1], 256 × 256."""
@@ -44,14 +45,15 @@ class SelfieNetwork:
 
 
 def rvm_downsampling(height: int, width: int) -> float:
-    """RVM's own rule: the network works on at most 512 px."""
+    """RVM's downsampling ratio: its network works on at most 512 px."""
     return min(512 / max(height, width), 1.0)
 
 
 class RvmTorchScript:
-    """Robust Video Matting as TorchScript (the user's file; GPL-3.0, never shipped).
+    """Robust Video Matting as TorchScript (the user's file; GPL-3.0, not distributed); recurrent over the images.
 
-    Carries its state from image to image.
+    Raises:
+        InputError: Not a TorchScript file, or not RVM's.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,7 +62,7 @@ class RvmTorchScript:
         self._torch = torch
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # newer torch calls TorchScript old; RVM is published in it
+                warnings.simplefilter("ignore")  # newer torch deprecates TorchScript, in which RVM is published
                 self._module = torch.jit.load(str(path), map_location="cpu").eval()
         except (RuntimeError, ValueError) as error:
             raise InputError(
@@ -69,22 +71,24 @@ class RvmTorchScript:
         self._path, self._state = path, [None, None, None, None]
 
     def coverage(self, image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w"]:
-        """Alpha at the image's resolution; call in frame order."""
+        """Alpha in [0, 1] at the image's resolution; call in frame order."""
         source = self._torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255
         try:
             with self._torch.no_grad():
                 _, alpha, *self._state = self._module(source, *self._state, rvm_downsampling(*image.shape[:2]))
         except (RuntimeError, TypeError, ValueError) as error:
             raise InputError(
-                f"{self._path}: does not work like RVM (image, 4 states, ratio → colour, alpha, 4 states)"
+                f"{self._path}: expected RVM's interface (image, 4 states, ratio → color, alpha, 4 states); use "
+                "rvm_mobilenetv3_fp32.torchscript"
             ) from error
         return alpha[0, 0].numpy()
 
 
 class RvmOnnx:
-    """Robust Video Matting as ONNX through onnxruntime, which the user has installed.
+    """Robust Video Matting as ONNX through onnxruntime, which the user installs; recurrent over the images.
 
-    Carries its state from image to image.
+    Raises:
+        InputError: onnxruntime is missing, or the file is not RVM's.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,7 +96,7 @@ class RvmOnnx:
             import onnxruntime  # type: ignore[import-not-found]
         except ImportError as error:
             raise InputError(
-                f"{path}: ONNX files need onnxruntime: pip install onnxruntime, or use RVM's .torchscript file"
+                f"{path}: ONNX files need onnxruntime; pip install onnxruntime, or use RVM's .torchscript file"
             ) from error
         try:
             self._session: Any = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
@@ -106,7 +110,7 @@ class RvmOnnx:
         self._state = [np.zeros((1, 1, 1, 1), np.float32)] * 4
 
     def coverage(self, image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w"]:
-        """Alpha at the image's resolution; call in frame order."""
+        """Alpha in [0, 1] at the image's resolution; call in frame order."""
         ratio = np.array([rvm_downsampling(*image.shape[:2])], np.float32)
         source = (image.astype(np.float32) / 255).transpose(2, 0, 1)[None]
         states = {f"r{index}i": state for index, state in enumerate(self._state, start=1)}

@@ -1,4 +1,4 @@
-"""Which of the user's masks belongs to which frame: by number, and where numbers leave a choice, by edges."""
+"""Pairing of the user's masks with frames: by number, and where several offsets fit the numbers, by image edges."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 FRAMES = 32
 SIDE = 256
-CLEAR_LEAD = 0.02
-"""By how much (relative) another offset must beat the one that numbers suggest."""
+MIN_RELATIVE_LEAD = 0.02
+"""Relative lead in edge strength that another offset needs over the one that the numbers suggest."""
 
 
 def find_mask_offset(
@@ -20,41 +20,40 @@ def find_mask_offset(
     image: Callable[[int], np.ndarray],
     mask: Callable[[Path], np.ndarray],
 ) -> int:
-    """Mask number minus frame number.
+    """The offset between masks and frames: mask number minus frame number.
 
     Args:
         numbers: Source frame numbers.
-        files: The masks by their own numbers.
-        image: Reads a frame at the capture's size.
+        files: Mask files by their own numbers.
+        image: Reads a frame's image at the capture's size.
         mask: Reads a mask at the capture's size.
 
     Returns:
-        The offset that gives most frames a mask; between equals (masks beyond both ends), the one whose outlines lie
-        on image edges.
+        The offset that gives the most frames a mask; among equals, the one whose mask outlines lie on image edges.
     """
     offsets = sorted({0, 1, -1, min(files) - numbers[0]}, key=abs)
     counts = {offset: sum(number + offset in files for number in numbers) for offset in offsets}
     best = max(offsets, key=lambda offset: counts[offset])
-    rivals = [offset for offset in offsets if counts[offset] >= counts[best] - abs(offset - best)]
-    common = [number for number in numbers if all(number + offset in files for offset in rivals)]
-    if len(rivals) == 1 or len(common) < 2:
+    candidates = [offset for offset in offsets if counts[offset] >= counts[best] - abs(offset - best)]
+    common = [number for number in numbers if all(number + offset in files for offset in candidates)]
+    if len(candidates) == 1 or len(common) < 2:
         return best
     chosen = [common[round(place)] for place in np.linspace(0, len(common) - 1, min(FRAMES, len(common)))]
-    scores = dict.fromkeys(rivals, 0.0)
+    scores = dict.fromkeys(candidates, 0.0)
     for number in chosen:
         edges = _edges(image(number))
-        for offset in rivals:
+        for offset in candidates:
             scores[offset] += _edge_strength(edges, mask(files[number + offset]))
-    leader = max(rivals, key=lambda offset: scores[offset])
-    return leader if scores[leader] > scores[best] * (1 + CLEAR_LEAD) else best
+    leader = max(candidates, key=lambda offset: scores[offset])
+    return leader if scores[leader] > scores[best] * (1 + MIN_RELATIVE_LEAD) else best
 
 
 def _edges(image: np.ndarray) -> np.ndarray:
-    """Strength of the image's edges, on a small picture."""
-    grey = cv2.cvtColor(cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(
+    """Edge strength of the image at reduced size."""
+    gray = cv2.cvtColor(cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY).astype(
         np.float32
     )
-    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
 
 
 def _edge_strength(edges: np.ndarray, mask: np.ndarray) -> float:

@@ -1,1 +1,1 @@
-"""The stages of ggavatar-prep, in order, each skipped when its inputs are unchanged."""
+"""The stages of `ggavatar-prep`, each of which is skipped while its inputs are unchanged."""

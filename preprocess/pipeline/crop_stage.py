@@ -1,4 +1,4 @@
-"""Second stage: choose one crop for the whole clip and write the images at their final size."""
+"""Second stage: chooses one crop for the whole clip and writes the images at their final size."""
 
 from __future__ import annotations
 
@@ -11,25 +11,29 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
+from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.read_stage import selection_of
-from preprocess.pipeline.stage import Job, Stage, file_state
-from preprocess.video.crop import Crop, explicit, rectangle, square, square_around, whole_frame
+from preprocess.pipeline.stage import Stage, StageContext, file_state
+from preprocess.video.crop import Crop, explicit_crop, parse_rectangle, square_crop, square_crop_around, whole_frame
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.sources import open_source
 
 HEAD_POINTS = np.array([[x, y, z] for x in (-0.09, 0.09) for y in (-0.12, 0.14) for z in (-0.12, 0.08)])
-"""Corners of a box around an adult's head in FLAME's frame, m."""
+"""Corners of a box around an adult's head in FLAME's coordinates, m."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """Size, crop and the tracking that the crop must respect."""
+    """Size, crop and the tracking that the crop depends on.
+
+    Raises:
+        InputError: `--size` or `--crop` is malformed or out of range.
+    """
     if not 64 <= options.size <= 4096:
         raise InputError(f"--size: expected 64 to 4096 px, found {options.size}")
     if options.crop not in ("auto", "none"):
-        rectangle(options.crop)
+        parse_rectangle(options.crop)
     return {
         "size": options.size,
         "crop": options.crop,
@@ -38,26 +42,31 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
     }
 
 
-def run(job: Job) -> Mapping[str, Any]:
-    """Decode again, crop, resample and write `images/%06d.png`; files of an interrupted run are kept."""
-    options, source = job.options, job.results["frames"]
-    crop = choose_crop(job)
-    folder = job.folder / "images"
+def run(context: StageContext) -> Mapping[str, Any]:
+    """Decode again, crop, resample and write `images/%06d.png`; files of an interrupted run are kept.
+
+    Raises:
+        InputError: No crop can be chosen, or the source has changed since it was read.
+    """
+    options, source = context.options, context.results["frames"]
+    crop = choose_crop(context)
+    folder = context.folder / "images"
     folder.mkdir(parents=True, exist_ok=True)
     numbers = list(source["numbers"])
     wanted = selection_of(options).keep(open_source(options.input, options.fps).frames())
     done = 0
     for done, _ in enumerate(ordered_map(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
-        job.reporter.advance(done, len(numbers))
+        context.reporter.advance(done, len(numbers))
     if done != len(numbers):
         raise InputError(
-            f"{options.input}: {len(numbers)} frames at first, {done} now; the file has changed while it was read"
+            f"{options.input}: expected {len(numbers)} frames as before, found {done}; the file has changed while it "
+            "was read, start again with --overwrite"
         )
     return {"crop": crop.json()}
 
 
 def _missing(folder: Path, frames: Iterator[DecodedFrame]) -> Iterator[tuple[Path, np.ndarray | None]]:
-    """Where each frame is to be written and its pixels; none if it is there already."""
+    """The path of each frame's image and its pixels; None in place of the pixels if the file exists."""
     for frame in frames:
         path = folder / f"{frame.number:06d}.png"
         yield path, None if path.exists() else frame.image
@@ -68,41 +77,41 @@ def _write(crop: Crop, path: Path, source: np.ndarray | None) -> None:
         write_png(path, crop.image(source))
 
 
-def choose_crop(job: Job) -> Crop:
-    """The crop as asked for, or one that suits the imported tracking or the faces that were found."""
-    options, source = job.options, job.results["frames"]
+def choose_crop(context: StageContext) -> Crop:
+    """The crop that `--crop` asks for; with auto, one around the imported tracking or the detected faces."""
+    options, source = context.options, context.results["frames"]
     width, height = source["width"], source["height"]
     if options.crop == "none":
         return whole_frame(width, height, options.size)
     if options.crop != "auto":
-        return explicit(options.crop, width, height, options.size)
+        return explicit_crop(options.crop, width, height, options.size)
     if options.tracking is not None:
-        return _crop_for_tracking(read_foreign(options)[1], width, height, options.size)
-    return _crop_for_faces(job, width, height)
+        return _crop_for_tracking(read_tracking_record(options)[1], width, height, options.size)
+    return _crop_for_faces(context, width, height)
 
 
-def _crop_for_faces(job: Job, width: int, height: int) -> Crop:
+def _crop_for_faces(context: StageContext, width: int, height: int) -> Crop:
     """A square around the detected faces."""
-    source, size = job.results["frames"], job.options.size
+    source, size = context.results["frames"], context.options.size
     faces = np.array(source["faces"]).reshape(-1, 4)
     if not len(faces):
-        raise InputError(f"{job.options.input}: no face found; choose the crop by hand with --crop X,Y,WIDTH,HEIGHT")
-    # The detector's box spans brows to chin; a head with hair is about one and a half times as tall.
+        raise InputError(f"{context.options.input}: no face found; give the crop with --crop X,Y,WIDTH,HEIGHT")
+    # The detector's box spans brows to chin; a head with hair is about 1.5 times as tall.
     centers, sides = (faces[:, :2] + faces[:, 2:]) / 2, faces[:, 2:] - faces[:, :2]
     heads = np.concatenate((centers - sides * [0.65, 0.85], centers + sides * [0.65, 0.65]), axis=1)
-    crop = square_around(heads, width, height, size)
+    crop = square_crop_around(heads, width, height, size)
     if width == height and crop.width > 0.8 * width:
         return whole_frame(width, height, size)
     return crop
 
 
 def tracked_size_fits(record: TrackingRecord, width: int, height: int) -> bool:
-    """Whether the tracker saw the whole frame, maybe resampled."""
+    """Whether the tracker saw the whole frame, possibly resampled."""
     return abs(record.width * height - record.height * width) <= 0.01 * record.width * height
 
 
 def _size_mismatch(record: TrackingRecord, width: int, height: int) -> str:
-    """What to do about a tracker that saw other pictures than these."""
+    """The message for a tracking that was made on images of another shape."""
     found = f"the tracking was made on {record.width}×{record.height} px images, the video has {width}×{height} px"
     if abs(record.height * height - record.width * width) <= 0.01 * record.width * width:
         return f"{found}: width and height are swapped in the tracking; add --fix {SWAPPED_SIZE}"
@@ -133,8 +142,8 @@ def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: in
         or (boxes[:, 0] > width).all()
         or (boxes[:, 1] > height).all()
     ):
-        return square((width / 2, height / 2), min(width, height), width, height, size)
-    return square_around(boxes, width, height, size)
+        return square_crop((width / 2, height / 2), min(width, height), width, height, size)
+    return square_crop_around(boxes, width, height, size)
 
 
 STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",), version=2)

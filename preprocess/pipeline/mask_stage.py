@@ -1,4 +1,4 @@
-"""Third stage: a soft foreground mask for every image, from the user's files or from a network."""
+"""Third stage: a soft foreground mask for every image, from the user's files, a network or GrabCut."""
 
 from __future__ import annotations
 
@@ -12,72 +12,74 @@ from ggavatar.errors import GateError, InputError
 from ggavatar.io.images import image_header, read_gray, read_rgb, write_png
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.options import PrepOptions
-from preprocess.pipeline.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import Crop, crop_from_json
 from preprocess.video.image_folder import numbered_images
 
 KINDS = ("auto", "selfie", "grabcut")
-NETWORK_FILES = frozenset({".onnx", ".torchscript", ".pt", ".pth"})
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """The kind of masks, or the files they come from."""
+    """The kind of masks, or the state of the files they come from."""
     return {"masks": options.masks if options.masks in KINDS else file_state(Path(options.masks))}
 
 
-def run(job: Job) -> Mapping[str, Any]:
-    """Write `masks/%06d.png` for every image; the result lists the frames that have one."""
-    (job.folder / "masks").mkdir(parents=True, exist_ok=True)
-    wanted = job.options.masks
+def run(context: StageContext) -> Mapping[str, Any]:
+    """Write `masks/%06d.png`; the result lists the frames that have a mask."""
+    (context.folder / "masks").mkdir(parents=True, exist_ok=True)
+    wanted = context.options.masks
     if wanted not in KINDS and Path(wanted).is_dir():
-        return _own_masks(job, Path(wanted))
-    return _computed_masks(job, wanted)
+        return _user_masks(context, Path(wanted))
+    return _computed_masks(context, wanted)
 
 
-def _own_masks(job: Job, folder: Path) -> Mapping[str, Any]:
-    """Masks the user has, paired by number."""
+def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
+    """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers, files = list(job.results["frames"]["numbers"]), numbered_images(folder)
+    numbers, files = list(context.results["frames"]["numbers"]), numbered_images(folder)
     if not files:
-        raise InputError(f"{folder}: no PNG or JPEG masks in this folder")
-    crop, size = crop_from_json(dict(job.results["crop"]["crop"])), _source_size(job)
+        raise InputError(
+            f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
+        )
+    crop, size = crop_from_json(dict(context.results["crop"]["crop"])), _source_size(context)
 
     def image(number: int) -> np.ndarray:
-        return read_rgb(job.folder / "images" / f"{number:06d}.png")
+        return read_rgb(context.folder / "images" / f"{number:06d}.png")
 
     offset = find_mask_offset(numbers, files, image, lambda path: fitted_mask(path, crop, size))
     kept = [number for number in numbers if number + offset in files]
 
     def write(number: int) -> None:
-        target = job.folder / "masks" / f"{number:06d}.png"
+        target = context.folder / "masks" / f"{number:06d}.png"
         if not target.exists():
             write_png(target, fitted_mask(files[number + offset], crop, size))
 
     for done, _ in enumerate(ordered_map(write, kept), start=1):
-        job.reporter.advance(done, len(kept))
-    _report_missing(job, folder, len(numbers), len(kept), offset)
+        context.reporter.advance(done, len(kept))
+    _report_missing(context, folder, len(numbers), len(kept), offset)
     return {"numbers": kept, "kind": "files", "offset": offset, "name": folder.name}
 
 
-def _report_missing(job: Job, folder: Path, wanted: int, found: int, offset: int) -> None:
-    """Say what is missing; too much of it is an error."""
+def _report_missing(context: StageContext, folder: Path, wanted: int, found: int, offset: int) -> None:
+    """Warn about an offset and missing masks; raise if most are missing or with `--strict`."""
     if offset:
-        job.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, as the pictures' edges show")
+        context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, judging by the edges in the images")
     if found == wanted:
         return
     message = f"{folder}: {wanted - found} of {wanted} frames have no mask"
     if found < 2 or found < wanted // 2:
-        raise InputError(f"{message}; expected one PNG or JPEG a frame with its number in the name")
-    if job.options.strict:
+        raise InputError(f"{message}; expected one PNG or JPEG file per frame with the frame number in its name")
+    if context.options.strict:
         raise GateError(f"{message} (--strict)")
-    job.reporter.warn(f"{message} and are left out")
+    context.reporter.warn(f"{message} and are left out")
 
 
 def fitted_mask(path: Path, crop: Crop, source_size: tuple[int, int]) -> np.ndarray:
-    """A mask as part of the capture.
+    """A mask at the capture's size: cropped like the images if it has the source's size, else taken as it is.
 
-    Cropped like the images if it has the source's size, taken as it is if it has the capture's.
+    Raises:
+        InputError: The mask has neither the source's size nor the capture's.
     """
     header = image_header(path)
     found = (header.width, header.height)
@@ -92,26 +94,26 @@ def fitted_mask(path: Path, crop: Crop, source_size: tuple[int, int]) -> np.ndar
     )
 
 
-def _source_size(job: Job) -> tuple[int, int]:
-    return int(job.results["frames"]["width"]), int(job.results["frames"]["height"])
+def _source_size(context: StageContext) -> tuple[int, int]:
+    return int(context.results["frames"]["width"]), int(context.results["frames"]["height"])
 
 
-def _computed_masks(job: Job, wanted: str) -> Mapping[str, Any]:
-    """Masks from a network or from GrabCut, one frame after the other."""
+def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
+    """Masks from a network or GrabCut, frame by frame."""
     from preprocess.masks.matting import open_matting
 
-    numbers = list(job.results["frames"]["numbers"])
-    matting = open_matting(wanted, job.options.models, job.options.offline)
+    numbers = list(context.results["frames"]["numbers"])
+    matting = open_matting(wanted, context.options.models, context.options.offline)
     for warning in matting.warnings:
-        job.reporter.warn(warning)
+        context.reporter.warn(warning)
     names = [f"{number:06d}.png" for number in numbers]
-    masks = matting.masks(ordered_map(lambda name: read_rgb(job.folder / "images" / name), names))
+    masks = matting.masks(ordered_map(lambda name: read_rgb(context.folder / "images" / name), names))
 
     def write(each: tuple[str, np.ndarray]) -> None:
-        write_png(job.folder / "masks" / each[0], each[1])
+        write_png(context.folder / "masks" / each[0], each[1])
 
     for done, _ in enumerate(ordered_map(write, zip(names, masks, strict=True)), start=1):
-        job.reporter.advance(done, len(numbers))
+        context.reporter.advance(done, len(numbers))
     return {"numbers": numbers, "kind": matting.name, "offset": 0, "name": matting.name}
 
 

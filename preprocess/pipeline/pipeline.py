@@ -14,9 +14,9 @@ from preprocess.options import PrepOptions
 from preprocess.pipeline import crop_stage, doctor_stage, mask_stage, pack_stage, read_stage, tracking_stage
 from preprocess.pipeline.stage import (
     RECORDS,
-    Job,
     Reporter,
     Stage,
+    StageContext,
     fingerprint,
     finished_result,
     was_interrupted,
@@ -43,69 +43,74 @@ def run_pipeline(
     """Run every stage whose inputs have changed since it last ran in this folder.
 
     Args:
-        options: What to do.
-        reporter: Called with each stage and whether it is skipped; gives the place to report to while the stage runs.
-        stages: The stages, in order.
+        options: The user's options.
+        reporter: Called with each stage and whether it is skipped; gives the stage's reporter as a context manager.
+        stages: The stages in order.
 
     Returns:
-        The results of all stages, by name.
+        The results of all stages by name.
 
     Raises:
-        InputError: Bad input, or a folder that must not be written to.
+        InputError: Unusable input, or an output folder that must not be written to.
     """
-    wanted = _fingerprints(options, stages)
+    fingerprints = _fingerprints(options, stages)
     prepare_folder(options)
     results: dict[str, Mapping[str, Any]] = {}
-    for stage, before in zip(stages, wanted, strict=True):
-        result = finished_result(options.output_dir, stage, before)
-        with reporter(stage, result is not None) as place:
-            results[stage.name] = (
-                result if result is not None else _run(stage, Job(options, options.output_dir, results, place), before)
-            )
+    for stage, fingerprint_ in zip(stages, fingerprints, strict=True):
+        result = finished_result(options.output_dir, stage, fingerprint_)
+        with reporter(stage, result is not None) as stage_reporter:
+            if result is None:
+                context = StageContext(options, options.output_dir, results, stage_reporter)
+                result = _run(stage, context, fingerprint_)
+            results[stage.name] = result
     return results
 
 
 def _fingerprints(options: PrepOptions, stages: tuple[Stage, ...]) -> list[str]:
-    """Fingerprints of all stages; taken before anything is written, since this is where missing inputs show."""
+    """Fingerprints of all stages; computed before anything is written, since missing inputs raise here."""
     found: list[str] = []
     for stage in stages:
         found.append(fingerprint(stage, options, found[-1] if found else ""))
     return found
 
 
-def _run(stage: Stage, job: Job, wanted: str) -> Mapping[str, Any]:
-    """Run one stage. From here until the end of packing the folder is no capture.
+def _run(stage: Stage, context: StageContext, wanted: str) -> Mapping[str, Any]:
+    """Run one stage.
 
-    So nobody reads half of a new and half of an old one.
+    capture.json is removed first: until packing has finished the folder is no capture, so that nobody reads a mixture
+    of old and new files.
     """
     if stage.name != doctor_stage.STAGE.name:
-        (job.folder / DESCRIPTION).unlink(missing_ok=True)
-    if not was_interrupted(job.folder, stage, wanted):
+        (context.folder / DESCRIPTION).unlink(missing_ok=True)
+    if not was_interrupted(context.folder, stage, wanted):
         for name in stage.outputs:
-            _remove_output(job.folder / name)
-    write_record(job.folder, stage, wanted, None)
-    result = stage.run(job)
-    write_record(job.folder, stage, wanted, result)
+            _remove_output(context.folder / name)
+    write_record(context.folder, stage, wanted, None)
+    result = stage.run(context)
+    write_record(context.folder, stage, wanted, result)
     return result
 
 
 def _remove_output(path: Path) -> None:
-    """Remove what an earlier run of a stage wrote: the file, or the numbered pictures in the folder."""
+    """Remove an earlier output of a stage: the file, or the numbered images in the folder."""
     if path.is_dir():
-        for picture in path.glob("[0-9]*.png"):
-            picture.unlink()
+        for image in path.glob("[0-9]*.png"):
+            image.unlink()
     else:
         path.unlink(missing_ok=True)
 
 
 def prepare_folder(options: PrepOptions) -> None:
-    """Make the output folder, or make sure that we may write into the one that is there.
+    """Create the output folder, or check that the existing one may be written to.
 
-    A folder is only ever emptied if it carries our records; a folder of the user's is never touched.
+    Only a folder with our records in it is ever emptied; any other folder of the user is never touched.
+
+    Raises:
+        InputError: The folder must not be written to, or contains an input.
     """
     folder = options.output_dir
     if options.resume and options.overwrite:
-        raise InputError("--resume and --overwrite exclude each other: continue, or start anew?")
+        raise InputError("--resume and --overwrite are mutually exclusive; give one of them")
     _check_apart(options)
     if folder.exists():
         ours = (folder / RECORDS).is_dir()
@@ -115,8 +120,8 @@ def prepare_folder(options: PrepOptions) -> None:
             raise InputError(f"{folder}: exists and was not made by ggavatar-prep; choose another folder with -o")
         if ours and not (options.resume or options.overwrite) and any(e.name != RECORDS for e in folder.iterdir()):
             raise InputError(
-                f"{folder}: exists; use --resume to continue or reuse it, --overwrite to start anew, or choose "
-                "another -o"
+                f"{folder}: exists already; pass --resume to continue in it, --overwrite to replace it, or choose "
+                "another folder with -o"
             )
         if ours and options.overwrite:
             shutil.rmtree(folder)
@@ -124,7 +129,7 @@ def prepare_folder(options: PrepOptions) -> None:
 
 
 def _check_apart(options: PrepOptions) -> None:
-    """The output must not contain what is read, or --overwrite would delete it."""
+    """Check that the output folder contains no input, which --overwrite would delete."""
     target = options.output_dir.resolve()
     sources = [
         options.input,

@@ -1,4 +1,4 @@
-"""First stage: go through the video once, note every frame with its time, and look where the face is."""
+"""First stage: reads the video once, records every frame's number and time, and detects the face."""
 
 from __future__ import annotations
 
@@ -11,34 +11,40 @@ import numpy as np
 
 from ggavatar.errors import GateError, InputError
 from preprocess.options import PrepOptions
-from preprocess.pipeline.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source
 
-SECONDS_BETWEEN_FACES = 0.5
+FACE_DETECTION_INTERVAL = 0.5
+"""Time between two face detections, s."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """The source and the selection, and whether faces are wanted."""
+    """The source, the selection, and whether faces are detected."""
     selection = (options.fps, options.start, options.end, options.frames)
     return {"input": file_state(options.input), "selection": selection, "faces": needs_faces(options)}
 
 
 def needs_faces(options: PrepOptions) -> bool:
-    """Whether the crop follows the face detector; with imported tracking it follows that."""
+    """Whether the crop depends on detected faces; with imported tracking it depends on that instead."""
     return options.tracking is None and options.crop == "auto"
 
 
 def selection_of(options: PrepOptions) -> Selection:
-    """The frames the options ask for; a folder of pictures has no rate of its own to thin out."""
+    """The frames that the options select; for an image folder `--fps` is its frame rate, not a limit."""
     fps = None if options.input.is_dir() else options.fps
     return parse_selection(fps, options.start, options.end, options.frames)
 
 
-def run(job: Job) -> Mapping[str, Any]:
-    """Numbers, times and size of the frames; the source's name and SHA-256; face boxes every half second."""
-    options = job.options
+def run(context: StageContext) -> Mapping[str, Any]:
+    """Read the source; the result holds frame numbers, size and rate, the source's SHA-256, and face boxes.
+
+    Raises:
+        InputError: Fewer than two frames are selected.
+        GateError: Frames were lost, with `--strict`.
+    """
+    options = context.options
     source, selection = open_source(options.input, options.fps), selection_of(options)
     detect = _face_finder(options) if needs_faces(options) else None
     numbers: list[int] = []
@@ -46,17 +52,17 @@ def run(job: Job) -> Mapping[str, Any]:
     faces: list[np.ndarray | None] = []
     size = (0, 0)
     for frame in selection.keep(source.frames()):
-        if detect is not None and frame.time >= len(faces) * SECONDS_BETWEEN_FACES:
+        if detect is not None and frame.time >= len(faces) * FACE_DETECTION_INTERVAL:
             faces.append(detect(frame))
         numbers.append(frame.number)
         times.append(frame.time)
         size = (frame.width, frame.height)
-        job.reporter.advance(len(numbers), None)
+        context.reporter.advance(len(numbers), None)
     _check_count(options, len(numbers))
     for loss in source.losses():
         if options.strict:
             raise GateError(f"{options.input}: {loss} (--strict)")
-        job.reporter.warn(f"{options.input}: {loss}; the frames before are kept")
+        context.reporter.warn(f"{options.input}: {loss}; the frames before are kept")
     return {
         "name": options.input.name,
         "sha256": _digest(options.input),
@@ -71,12 +77,14 @@ def run(job: Job) -> Mapping[str, Any]:
 
 
 def _check_count(options: PrepOptions, count: int) -> None:
-    """A clip needs frames to train on and frames to test on."""
+    """Check that there are frames for training and for testing."""
     if count == 0:
-        raise InputError(f"{options.input}: no frame could be decoded or none lies within --start, --end and --frames")
+        raise InputError(
+            f"{options.input}: no frame could be decoded, or none is selected; check --start, --end and --frames"
+        )
     if count == 1:
         raise InputError(
-            f"{options.input}: only one frame; an avatar needs a video, some hundred frames of a moving face"
+            f"{options.input}: expected a video with several hundred frames of a moving face, found only one frame"
         )
 
 
@@ -98,7 +106,7 @@ def _face_finder(options: PrepOptions) -> Any:
 
 
 def _digest(path: Path) -> str:
-    """SHA-256 of a file, or of the names and contents of a folder's files."""
+    """SHA-256 of a file, or of the names and contents of the files in a folder."""
     if path.is_file():
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

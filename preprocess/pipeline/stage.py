@@ -1,4 +1,4 @@
-"""A stage of the pipeline, the record it leaves in the output folder, and when it may be skipped."""
+"""Stages of the pipeline, and the records in the output folder that decide whether a stage is skipped."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from preprocess.options import PrepOptions
 
 @runtime_checkable
 class Reporter(Protocol):
-    """Where a stage says what it is doing."""
+    """Receives progress and warnings of a stage."""
 
     def advance(self, done: int, total: int | None) -> None:
-        """So many of so many steps are done; None if nobody knows."""
+        """Report `done` of `total` items; None if the total is unknown."""
         ...
 
     def warn(self, message: str) -> None:
-        """Something the user should know; it is repeated in the summary."""
+        """Report something the user should know; it is repeated in the summary."""
         ...
 
 
 @dataclass(frozen=True)
-class Job:
+class StageContext:
     """What a stage works with.
 
     Attributes:
-        options: What the user asked for.
-        folder: The capture folder being made.
-        results: Results of the stages before, by name.
-        reporter: Where to tell about progress.
+        options: The user's options.
+        folder: The capture folder to write.
+        results: Results of the earlier stages by name.
+        reporter: Receives progress and warnings.
     """
 
     options: PrepOptions
@@ -51,30 +51,34 @@ class Stage:
     """One step from video to capture.
 
     Attributes:
-        name: In records and messages.
-        title: For the progress line.
-        inputs: What, beside the stages before, decides the outcome; plain JSON values.
-        run: Does the work and returns its result, plain JSON values.
-        outputs: What it writes into the capture folder, removed before it runs anew.
-        version: Raised whenever the same inputs would give another outcome than before.
+        name: Name in records and messages.
+        title: Title of the progress line.
+        inputs: Gives what decides the result besides the earlier stages, as plain JSON values.
+        run: Does the work and returns the result as plain JSON values.
+        outputs: Files and folders it writes into the capture folder; removed before it runs again.
+        version: Incremented whenever the same inputs would give another result than before.
     """
 
     name: str
     title: str
     inputs: Callable[[PrepOptions], Mapping[str, Any]]
-    run: Callable[[Job], Mapping[str, Any]]
+    run: Callable[[StageContext], Mapping[str, Any]]
     outputs: tuple[str, ...] = ()
     version: int = 1
 
 
 def fingerprint(stage: Stage, options: PrepOptions, before: str) -> str:
-    """SHA-256 of everything that decides a stage's outcome, the stages before included."""
+    """SHA-256 of everything that decides a stage's result; `before` is the previous stage's fingerprint."""
     text = json.dumps([stage.name, stage.version, before, stage.inputs(options)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def file_state(path: Path | None) -> Any:
-    """What tells whether a file or folder has changed: names, sizes and times of modification."""
+    """Names, sizes and modification times of a file or a folder's files, to detect changes; None for None.
+
+    Raises:
+        InputError: No such file or folder.
+    """
     if path is None:
         return None
     try:
@@ -83,7 +87,7 @@ def file_state(path: Path | None) -> Any:
             return [str(path), *([entry.name, entry.stat().st_size, entry.stat().st_mtime_ns] for entry in inside)]
         state = path.stat()
     except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file or folder") from error
+        raise InputError(f"{path}: no such file or folder; check the path") from error
     return [str(path), state.st_size, state.st_mtime_ns]
 
 
@@ -92,7 +96,7 @@ def _record_path(folder: Path, stage: Stage) -> Path:
 
 
 def finished_result(folder: Path, stage: Stage, wanted: str) -> Mapping[str, Any] | None:
-    """The result of a stage if it ran to its end with the wanted fingerprint and its outputs are still there."""
+    """The result of a stage if it finished with the wanted fingerprint and its outputs still exist, else None."""
     record = _read_record(folder, stage)
     if record.get("fingerprint") != wanted or "result" not in record:
         return None
@@ -102,7 +106,7 @@ def finished_result(folder: Path, stage: Stage, wanted: str) -> Mapping[str, Any
 
 
 def was_interrupted(folder: Path, stage: Stage, wanted: str) -> bool:
-    """Whether a stage began with this fingerprint and did not end, so that its complete files may be kept."""
+    """Whether a stage started with this fingerprint and did not finish, so that its complete files may be kept."""
     record = _read_record(folder, stage)
     return record.get("fingerprint") == wanted and "result" not in record
 
@@ -113,7 +117,7 @@ def _read_record(folder: Path, stage: Stage) -> Mapping[str, Any]:
 
 
 def write_record(folder: Path, stage: Stage, wanted: str, result: Mapping[str, Any] | None) -> None:
-    """Note that a stage has begun (no result) or ended."""
+    """Record that a stage has started (`result` is None) or finished."""
     record = {"fingerprint": wanted} | ({} if result is None else {"result": dict(result)})
     text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
     write_text(_record_path(folder, stage), text)

@@ -1,4 +1,4 @@
-"""Fourth stage: cameras and head parameters, imported from another tracker or found by our own."""
+"""Fourth stage: cameras and head parameters, imported from another tracker or found by the built-in one."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.doctor.conventions import apply_fixes
 from preprocess.doctor.frame_offset import find_offset
-from preprocess.formats.registry import SWAPPED_SIZE, read_foreign
+from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions
-from preprocess.pipeline.stage import Job, Stage, file_state
+from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence
 from preprocess.tracking.torso.torso import track_torso
@@ -28,7 +28,7 @@ from preprocess.video.crop import crop_from_json
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """The tracking and the head model, or the built-in tracker's options."""
+    """State of the tracking and the head model, and the tracker's options."""
     if options.tracking is not None:
         _head_path(options)
     return {
@@ -41,38 +41,42 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
     }
 
 
-def run(job: Job) -> Mapping[str, Any]:
-    """Write tracking.npz and head.npz; the result says which frames they cover and where they came from."""
+def run(context: StageContext) -> Mapping[str, Any]:
+    """Write tracking.npz and head.npz; the result lists the frames they cover and reports where they came from."""
     from ggavatar.head.files import save_head
 
-    numbers = list(job.results["masks"]["numbers"])
+    numbers = list(context.results["masks"]["numbers"])
     with one_torch_thread():
-        numbers, sequence = _imported(job, numbers) if job.options.tracking else (numbers, _tracked(job, numbers))
-    write_npz(job.folder / TRACKING, sequence.tracking.arrays())
-    save_head(sequence.head, job.folder / HEAD)
+        numbers, sequence = (
+            _imported(context, numbers) if context.options.tracking else (numbers, _tracked(context, numbers))
+        )
+    write_npz(context.folder / TRACKING, sequence.tracking.arrays())
+    save_head(sequence.head, context.folder / HEAD)
     for warning in sequence.report.get("warnings", ()):
-        job.reporter.warn(str(warning))
+        context.reporter.warn(str(warning))
     return {"numbers": numbers, "version": sequence.head.version, "report": dict(sequence.report)}
 
 
-def _tracked(job: Job, numbers: list[int]) -> TrackedSequence:
-    """Our own tracker, reading one image at a time."""
+def _tracked(context: StageContext, numbers: list[int]) -> TrackedSequence:
+    """The built-in tracker's result; images are read one at a time."""
     from preprocess.tracking.tracker import track
 
-    images = PicturesOnDisk(job, "images", numbers, read_rgb)
-    masks = PicturesOnDisk(job, "masks", numbers, read_gray)
-    source, crop = job.results["frames"], crop_from_json(dict(job.results["crop"]["crop"]))
-    middle = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
-    center = crop.intrinsics(middle)[:2, 2]
-    return track(images, masks, float(source["fps"]), job.options, (float(center[0]), float(center[1])))
+    images = ImagesOnDisk(context, "images", numbers, read_rgb)
+    masks = ImagesOnDisk(context, "masks", numbers, read_gray)
+    source, crop = context.results["frames"], crop_from_json(dict(context.results["crop"]["crop"]))
+    centered = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
+    center = crop.intrinsics(centered)[:2, 2]
+    return track(images, masks, float(source["fps"]), context.options, (float(center[0]), float(center[1])))
 
 
-class PicturesOnDisk(Sequence[np.ndarray]):
-    """The clip's images or masks, each read when it is asked for; reading images shows as progress."""
+class ImagesOnDisk(Sequence[np.ndarray]):
+    """The clip's images or masks, each read on access; every access reports progress."""
 
-    def __init__(self, job: Job, folder: str, numbers: Sequence[int], read: Callable[[Path], np.ndarray]) -> None:
-        self._paths = [job.folder / folder / f"{number:06d}.png" for number in numbers]
-        self._read, self._reporter = read, job.reporter
+    def __init__(
+        self, context: StageContext, folder: str, numbers: Sequence[int], read: Callable[[Path], np.ndarray]
+    ) -> None:
+        self._paths = [context.folder / folder / f"{number:06d}.png" for number in numbers]
+        self._read, self._reporter = read, context.reporter
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -86,42 +90,42 @@ class PicturesOnDisk(Sequence[np.ndarray]):
     def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
         if isinstance(index, slice):
             return [self._read(path) for path in self._paths[index]]
-        picture = self._read(self._paths[index])
+        image = self._read(self._paths[index])
         self._reporter.advance(index % len(self) + 1, len(self))
-        return picture
+        return image
 
 
-def _imported(job: Job, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
-    """Another tracker's output: fitted to the head, moved to the capture's pixels and paired with its frames."""
-    options = job.options
-    name, record = read_foreign(options)
+def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
+    """Another tracker's output, fitted to the head, converted to the capture's pixels and paired with its frames."""
+    options = context.options
+    name, record = read_tracking_record(options)
     head, version_note = _head(options, record)
-    crop = crop_from_json(dict(job.results["crop"]["crop"]))
-    tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, job)
+    crop = crop_from_json(dict(context.results["crop"]["crop"]))
+    tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, context)
     fixes = [fix for fix in options.fix if fix != SWAPPED_SIZE]
     tracking = apply_fixes(tracking, fixes, crop.out_width, crop.out_height)
     known = [int(number) for number in record.numbers]
-    offset, pairing = _offset(job, head, tracking, known, numbers)
+    offset, pairing = _offset(context, head, tracking, known, numbers)
     row_of = {number: row for row, number in enumerate(known)}
     kept = [number for number in numbers if number - offset in row_of]
     if len(kept) < 2:
         raise InputError(
-            f"{options.tracking}: covers {len(kept)} of the video's {len(numbers)} frames; is it another video's "
-            "tracking?"
+            f"{options.tracking}: expected tracking for the video's {len(numbers)} frames, found it for {len(kept)}; "
+            "check that it belongs to this video"
         )
     rows = np.array([row_of[number - offset] for number in kept])
-    found = with_torso(job, head, tracking.rows(rows), kept)
+    found = with_torso(context, head, tracking.rows(rows), kept)
     report = {"tracker": name, "offset": offset, "pairing": pairing, "notes": [*record.notes, *version_note]}
     return kept, TrackedSequence(
         found, head, report | {"warnings": _warnings(record, pairing, len(numbers) - len(kept))}
     )
 
 
-def with_torso(job: Job, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
-    """The tracking with the torso's own motion, which other trackers do not tell."""
-    images = PicturesOnDisk(job, "images", numbers, read_rgb)
-    masks = PicturesOnDisk(job, "masks", numbers, read_gray)
-    torso = track_torso(head, tracking, images, masks, float(job.results["frames"]["fps"]))
+def with_torso(context: StageContext, head: HeadModel, tracking: Tracking, numbers: Sequence[int]) -> Tracking:
+    """The tracking with the torso's own motion, which other trackers do not estimate."""
+    images = ImagesOnDisk(context, "images", numbers, read_rgb)
+    masks = ImagesOnDisk(context, "masks", numbers, read_gray)
+    torso = track_torso(head, tracking, images, masks, float(context.results["frames"]["fps"]))
     return dataclasses.replace(tracking, torso_to_camera=torso)
 
 
@@ -129,8 +133,8 @@ def _warnings(record: TrackingRecord, pairing: Mapping[str, Any], lost: int) -> 
     warnings = list(record.notes)
     if pairing.get("offset") != pairing.get("suggested"):
         warnings.append(
-            f"frame k of the tracking belongs to frame k{pairing['offset']:+d} of the video, as the picture under "
-            "the mesh shows"
+            f"frame k of the tracking belongs to frame k{pairing['offset']:+d} of the video, judging by the image "
+            "under the mesh"
         )
     if lost:
         warnings.append(f"{lost} frames have no tracking and are left out")
@@ -138,15 +142,15 @@ def _warnings(record: TrackingRecord, pairing: Mapping[str, Any], lost: int) -> 
 
 
 def _offset(
-    job: Job, head: Any, tracking: Tracking, known: list[int], numbers: list[int]
+    context: StageContext, head: Any, tracking: Tracking, known: list[int], numbers: list[int]
 ) -> tuple[int, dict[str, Any]]:
-    """The frame offset asked for, or found by comparing pictures."""
-    asked = job.options.frame_offset
-    if asked is not None:
-        return asked, {"offset": asked, "suggested": asked, "scores": {}}
+    """The frame offset that `--frame-offset` gives, or the one found by comparing images, and its report."""
+    given = context.options.frame_offset
+    if given is not None:
+        return given, {"offset": given, "suggested": given, "scores": {}}
 
     def image(number: int) -> np.ndarray:
-        return read_rgb(job.folder / "images" / f"{number:06d}.png")
+        return read_rgb(context.folder / "images" / f"{number:06d}.png")
 
     found = find_offset(head, tracking, known, numbers, image)
     scores = {str(offset): round(score, 5) for offset, score in found.scores.items()}
@@ -164,27 +168,26 @@ def _head(options: PrepOptions, record: TrackingRecord) -> tuple[Any, list[str]]
     head = with_static_offset(load_flame(path, record.shape, expressions=max(1, record.expression.shape[1])), record)
     if record.version is not None and head.version != record.version:
         raise InputError(
-            f"{path} is {head.version}, but the tracking's coefficients belong to {record.version}; they are not "
-            "interchangeable. "
-            f"Give the {record.version} file with --head-model"
+            f"{path}: expected {record.version}, which the tracking's coefficients belong to, found {head.version}; "
+            f"they are not interchangeable, give the {record.version} file with --head-model"
         )
     return head, []
 
 
 def _head_path(options: PrepOptions) -> Path:
-    """The head model of an imported tracking, which must be there before anything is begun."""
+    """The path of the head model of an imported tracking, checked to exist."""
     path = options.head_model
     if path is None:
         raise InputError("--tracking needs --head-model: FLAME's generic_model.pkl or flame2023.pkl, or a head.npz")
     if not path.is_file():
-        raise InputError(f"{path}: no such head model file")
+        raise InputError(f"{path}: no such head model file; check --head-model")
     return path
 
 
 def with_static_offset(head: HeadModel, record: TrackingRecord) -> HeadModel:
-    """The head with the tracker's per-vertex offsets (VHAP) folded into its template.
+    """The head with the tracker's static per-vertex offsets (VHAP) added to its template.
 
-    Vertices FLAME does not have are left out.
+    Offsets of vertices that the head does not have are left out.
     """
     offset = record.extra.get("static_offset")
     if offset is None:
@@ -195,9 +198,11 @@ def with_static_offset(head: HeadModel, record: TrackingRecord) -> HeadModel:
     return dataclasses.replace(head, template=template)
 
 
-def to_tracking(record: TrackingRecord, expressions: int, joint_names: tuple[str, ...], job: Job) -> Tracking:
-    """A foreign record as tracking of the capture: padded to the head's sizes, intrinsics in px of the capture."""
-    crop, source = crop_from_json(dict(job.results["crop"]["crop"])), job.results["frames"]
+def to_tracking(
+    record: TrackingRecord, expressions: int, joint_names: tuple[str, ...], context: StageContext
+) -> Tracking:
+    """A tracking record as the capture's tracking: padded to the head's sizes, intrinsics in px of the capture."""
+    crop, source = crop_from_json(dict(context.results["crop"]["crop"])), context.results["frames"]
     scale = np.diag([source["width"] / record.width, source["height"] / record.height, 1.0])
     joints = np.zeros((len(record.numbers), len(joint_names), 3))
     joints[:, : min(FLAME_JOINTS, len(joint_names))] = record.joint_rotations[:, : len(joint_names)]
@@ -213,7 +218,11 @@ def to_tracking(record: TrackingRecord, expressions: int, joint_names: tuple[str
 
 
 def nearest_rigid(poses: np.ndarray) -> np.ndarray:
-    """Poses whose rotations, stored in single precision, are made exactly orthonormal."""
+    """Rigid poses with their rotations, stored in single precision, projected to the nearest rotations by SVD.
+
+    scipy's `Rotation.from_matrix` goes through quaternions and differs in the last bits; `scipy.linalg.polar` does the
+    same SVD for one matrix at a time, 8 times slower.
+    """
     left, _, right = np.linalg.svd(poses[:, :3, :3])
     result = poses.copy()
     result[:, :3, :3] = left @ right
@@ -221,11 +230,15 @@ def nearest_rigid(poses: np.ndarray) -> np.ndarray:
 
 
 def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
-    """Coefficients padded with zeros or cut; cutting anything but zeros is an error."""
+    """Coefficients padded with zeros or truncated to `count` columns.
+
+    Raises:
+        InputError: A truncated coefficient is not zero.
+    """
     if np.any(values[:, count:]):
         raise InputError(
-            f"the tracking uses {values.shape[1]} expression coefficients, the head model has {count}; "
-            "give the head model that the tracking was made with"
+            f"expected at most {count} expression coefficients as in the head model, found {values.shape[1]} in the "
+            "tracking; give the head model that it was made with"
         )
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 

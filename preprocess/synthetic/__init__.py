@@ -1,1 +1,1 @@
-"""The embedded subject: a procedurally generated person with a video, tracking, mattes and a head model."""
+"""The generated person: a procedural head with hair and clothes, rendered to video, mattes, tracking and head model."""

@@ -1,4 +1,4 @@
-"""From settings to a demo folder: perform, draw, encode, track."""
+"""Writes a demo folder: performance, rendering, encoding, tracking."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy import ndarray
 
 from ggavatar.head.files import save_head
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.jit.threads import run
-from preprocess.synthetic.animation.motion import FPS, Motion, perform
+from preprocess.formats.importers.metrical_tracker import frame_dictionary
+from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
+from preprocess.synthetic.animation.motion import FPS, Performance, perform
 from preprocess.synthetic.output_folder import DemoFolder, write_manifest
 from preprocess.synthetic.rendering import room
 from preprocess.synthetic.studio import Studio
-from preprocess.synthetic.tracker_files import Tracking, disturbed, frame_record, write_frame
+from preprocess.synthetic.tracker_files import add_tracker_errors
 
 _BATCH = 8
 
 
 @dataclass(frozen=True)
-class Settings:
+class DemoSettings:
     """What to write; see the options of `ggavatar-demo`."""
 
     identity: int = 1
@@ -33,13 +36,13 @@ class Settings:
     seed: int = 0
 
 
-def write_demo(folder: Path, settings: Settings) -> Iterator[int]:
-    """Write a demo folder; yields every frame number once it is on disk."""
+def write_demo(folder: Path, settings: DemoSettings) -> Iterator[int]:
+    """Write a demo folder; yields every frame number once its files are written."""
     names, _ = procedural_names()
-    motion = perform(names, settings.frames, settings.seed * 5 + settings.identity)
-    studio = Studio(settings.identity, motion, settings.size, settings.background)
-    truth = true_tracking(motion, settings.size, studio.identity)
-    tracked = disturbed(truth, settings.noise, settings.seed)
+    performance = perform(names, settings.frames, settings.seed * 5 + settings.identity)
+    studio = Studio(settings.identity, performance, settings.size, settings.background)
+    truth = true_record(performance, settings.size, studio.identity)
+    tracked = add_tracker_errors(truth, settings.noise, settings.seed)
     with DemoFolder(folder, settings.size, FPS) as output:
         write_manifest(folder, asdict(settings), settings.frames)
         save_head(studio.head, folder / "head.npz")
@@ -47,54 +50,63 @@ def write_demo(folder: Path, settings: Settings) -> Iterator[int]:
         (folder / "README.txt").write_text(_readme(settings), encoding="utf-8")
         for first in range(0, settings.frames, _BATCH):
             numbers = range(first, min(first + _BATCH, settings.frames))
-            pictures: dict[int, tuple[ndarray, ndarray]] = {}
-
-            def draw(place: int, numbers: range = numbers, pictures: dict = pictures) -> None:
-                pictures[numbers[place]] = studio.draw(numbers[place])
-
-            run(draw, len(numbers))
-            for index in numbers:
-                output.add(index, *pictures[index])
-                write_frame(frame_record(tracked, index, (settings.size, settings.size)), output.tracking(index))
+            for index, (image, alpha) in zip(numbers, _rendered(studio, numbers), strict=True):
+                output.add(index, image, alpha)
+                torch.save(frame_dictionary(tracked, index) | {"global_step": index}, output.tracking(index))
                 yield index
 
 
-def true_tracking(motion: Motion, size: int, identity: ndarray) -> Tracking:
-    """The performance in a tracker's words, without errors: the head stands still and the camera moves."""
-    return Tracking(
-        expression=motion.expression,
-        jaw=motion.jaw,
-        eyes=motion.eyes,
-        eyelids=motion.eyelids,
-        world_to_camera=room.room_to_camera() @ motion.head_to_room,
-        intrinsics=room.intrinsics(size),
+def _rendered(studio: Studio, numbers: range) -> list[tuple[ndarray, ndarray]]:
+    """Image and coverage of some frames, rendered by several threads."""
+    found: dict[int, tuple[ndarray, ndarray]] = {}
+
+    def render(position: int) -> None:
+        found[position] = studio.render(numbers[position])
+
+    run(render, len(numbers))
+    return [found[position] for position in range(len(numbers))]
+
+
+def true_record(performance: Performance, size: int, identity: ndarray) -> TrackingRecord:
+    """The performance as an error-free tracker would record it: the head is still and the camera moves."""
+    frames = len(performance.jaw)
+    joints = np.zeros((frames, FLAME_JOINTS, 3))
+    joints[:, 2], joints[:, 3:] = performance.jaw, performance.eyes
+    return TrackingRecord(
+        numbers=np.arange(frames),
+        width=size,
+        height=size,
+        intrinsics=np.tile(room.intrinsics(size), (frames, 1, 1)),
+        world_to_camera=room.room_to_camera() @ performance.head_to_room,
+        expression=performance.expression,
+        joint_rotations=joints,
+        eyelids=performance.eyelids,
+        translation=np.zeros((frames, 3)),
         shape=identity,
+        version=None,
     )
 
 
-def _write_truth(path: Path, truth: Tracking, names: tuple[str, ...]) -> None:
-    """True parameters, for tests of trackers."""
-    frames = len(truth.jaw)
-    rotations = np.zeros((frames, 5, 3))
-    rotations[:, 2], rotations[:, 3:] = truth.jaw, truth.eyes
+def _write_truth(path: Path, truth: TrackingRecord, names: tuple[str, ...]) -> None:
+    """Write the true parameters, for tests of trackers."""
     np.savez_compressed(
         path,
         allow_pickle=False,
         fps=np.asarray(float(FPS)),
-        intrinsics=np.tile(truth.intrinsics, (frames, 1, 1)),
+        intrinsics=truth.intrinsics,
         world_to_camera=truth.world_to_camera,
         expression=truth.expression,
         expression_names=np.asarray(names),
-        joint_rotations=rotations,
+        joint_rotations=truth.joint_rotations,
         eyelids=truth.eyelids,
-        translation=np.zeros((frames, 3)),
-        shape=truth.shape,
+        translation=truth.translation,
+        shape=np.asarray(truth.shape),
     )
 
 
-def _readme(settings: Settings) -> str:
+def _readme(settings: DemoSettings) -> str:
     return (
-        f"GGAvatar embedded subject {settings.identity}: a procedurally generated person.\n"
+        f"GGAvatar generated person {settings.identity}.\n"
         "No photograph, scan or licensed model was used.\n"
         f"{settings.frames} frames at {FPS} fps, {settings.size} px, background {settings.background}, "
         f"tracker noise {settings.noise:g}, "
@@ -103,6 +115,6 @@ def _readme(settings: Settings) -> str:
         "masks/00000.png    true coverage of the person, 8 bit\n"
         "tracking/00000.frame  metrical-tracker's layout; frame k belongs to image k;\n"
         "                   the first coefficients of exp are those of head.npz\n"
-        "head.npz           the head model the tracking belongs to (docs/capture-format.md)\n"
+        "head.npz           the head model that the tracking belongs to (docs/capture-format.md)\n"
         "truth.npz          poses, focal length and parameters without tracker noise\n"
     )

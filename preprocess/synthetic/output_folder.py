@@ -1,11 +1,7 @@
-"""The demo folder.
-
-Video, mattes, tracking, head and truth, with a list of what was written so that only that is ever replaced.
-"""
+"""The demo folder: video, mattes and tracking, and a manifest of the files so that only they are ever replaced."""
 
 from __future__ import annotations
 
-import json
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -17,12 +13,13 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import read_json, write_json
 
 MANIFEST = "demo.json"
 
 
 class DemoFolder:
-    """Writes one demo; use as a context manager so that the video is finished."""
+    """Writer of one demo; a context manager, which completes the video on exit."""
 
     def __init__(self, folder: Path, size: int, fps: int) -> None:
         self.folder = folder
@@ -64,32 +61,32 @@ class DemoFolder:
             raise OSError(f"could not write {path}")
 
     def mask(self, index: int) -> Path:
-        """Where a frame's matte is."""
+        """Path of a frame's matte."""
         return self.folder / "masks" / f"{index:05d}.png"
 
     def tracking(self, index: int) -> Path:
-        """Where a frame's tracking is."""
+        """Path of a frame's tracking file."""
         return self.folder / "tracking" / f"{index:05d}.frame"
 
 
-def claim(folder: Path, *, overwrite: bool) -> None:
-    """Make sure that the folder may be written.
+def prepare_demo_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that a demo may be written to the folder; with `overwrite`, first delete an earlier demo's files.
 
-    With `overwrite`, take away the files of an earlier demo, and nothing else.
+    Only files that the manifest lists are deleted.
 
     Raises:
-        InputError: The folder holds files and `overwrite` was not given, or it is not a folder.
+        InputError: The path is not a folder, or the folder contains files and `overwrite` is false.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"expected a folder for the demo, found a file at {folder}; choose another one with -o")
+        raise InputError(f"{folder}: expected a folder for the demo, found a file; choose another path with -o")
     if not folder.exists() or not any(folder.iterdir()):
         return
     if not overwrite:
         raise InputError(
-            f"expected a new or empty folder, found files in {folder}; choose another one with -o or add --overwrite"
+            f"{folder}: expected a new or empty folder, found files; choose another with -o or pass --overwrite"
         )
     listed = folder / MANIFEST
-    names = json.loads(listed.read_text("utf-8")).get("files", []) if listed.is_file() else []
+    names = read_json(listed).get("files", []) if listed.is_file() else []
     for name in names:
         path = folder / name
         if path.resolve().is_relative_to(folder.resolve()) and path.is_file():
@@ -97,9 +94,7 @@ def claim(folder: Path, *, overwrite: bool) -> None:
 
 
 def write_manifest(folder: Path, settings: dict, frames: int) -> None:
-    """List the files of this demo and the settings that made them."""
+    """Write the manifest: the files of this demo and its settings."""
     files = ["video.mp4", "head.npz", "truth.npz", "README.txt", MANIFEST]
     files += [f"masks/{k:05d}.png" for k in range(frames)] + [f"tracking/{k:05d}.frame" for k in range(frames)]
-    (folder / MANIFEST).write_text(
-        json.dumps({"settings": settings, "files": files}, indent=1) + "\n", encoding="utf-8"
-    )
+    write_json(folder / MANIFEST, {"settings": settings, "files": files})

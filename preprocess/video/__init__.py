@@ -1,1 +1,1 @@
-"""Frames out of videos and folders of images: decoding, selection, crop."""
+"""Frames from videos and image folders: decoding, selection, cropping."""

@@ -1,4 +1,4 @@
-"""One crop and one resampling for a whole clip, and what they do to the camera's intrinsics."""
+"""One crop and one resampling for a whole clip, and the camera intrinsics that result."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ggavatar.errors import InputError
 
 @dataclass(frozen=True)
 class Crop:
-    """A rectangle of the source and the size it is resampled to; it may reach beyond the source, which is then padded.
+    """A rectangle of the source and the size it is resampled to; padded where it reaches beyond the source.
 
     Attributes:
         x: Left edge, px of the source.
         y: Top edge, px of the source.
-        width: px of the source.
-        height: px of the source.
-        out_width: px of the capture.
-        out_height: px of the capture.
+        width: Width, px of the source.
+        height: Height, px of the source.
+        out_width: Width after resampling, px of the capture.
+        out_height: Height after resampling, px of the capture.
     """
 
     x: int
@@ -32,9 +32,9 @@ class Crop:
     out_height: int
 
     def image(self, source: UInt8[np.ndarray, "H W C"] | UInt8[np.ndarray, "H W"]) -> np.ndarray:
-        """The cropped and resampled image; outside the source it is black (0 in masks).
+        """The cropped and resampled image; pixels outside the source are black (0 in masks).
 
-        Area filter to shrink, Lanczos to enlarge.
+        An area filter shrinks, Lanczos enlarges.
         """
         import cv2
 
@@ -52,54 +52,55 @@ class Crop:
         )
 
     def intrinsics(self, source: Float[np.ndarray, "*T 3 3"]) -> Float[np.ndarray, "*T 3 3"]:
-        """Intrinsics in px of the capture from those in px of the source (edges aligned, pixel centres at +0.5)."""
+        """Intrinsics in px of the capture from those in px of the source (edges aligned, pixel centers at +0.5)."""
         shift = np.array([[1.0, 0, -self.x], [0, 1, -self.y], [0, 0, 1]])
         scale = np.diag([self.out_width / self.width, self.out_height / self.height, 1.0])
         return scale @ shift @ source
 
     def json(self) -> dict[str, int]:
-        """As plain numbers, for capture.json."""
+        """The crop as plain numbers, for capture.json."""
         return dict(vars(self))
 
 
 def crop_from_json(values: dict[str, Any]) -> Crop:
-    """The crop that `Crop.json` wrote."""
+    """The crop whose numbers `Crop.json` gave."""
     return Crop(**values)
 
 
 def whole_frame(width: int, height: int, size: int) -> Crop:
-    """The uncropped source, its longer side resampled to `size` px."""
+    """The uncropped source with its longer side resampled to `size` px."""
     factor = size / max(width, height)
     return Crop(0, 0, width, height, max(1, round(width * factor)), max(1, round(height * factor)))
 
 
-def square(center: tuple[float, float], side: float, width: int, height: int, size: int) -> Crop:
-    """A square around a point.
-
-    Moved inside the source where it can be, cut down to its shorter side where it cannot.
-    """
+def square_crop(center: tuple[float, float], side: float, width: int, height: int, size: int) -> Crop:
+    """A square crop around a point, shifted to lie inside the source and at most as large as its shorter side."""
     length = min(round(side), width, height)
     x = int(np.clip(round(center[0] - length / 2), 0, width - length))
     y = int(np.clip(round(center[1] - length / 2), 0, height - length))
     return Crop(x, y, length, length, size, size)
 
 
-def square_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size: int) -> Crop:
-    """One square for all frames around head boxes (left, top, right, bottom; px), with room for hair and shoulders.
+def square_crop_around(boxes: Float[np.ndarray, "N 4"], width: int, height: int, size: int) -> Crop:
+    """One square crop around the head boxes (left, top, right, bottom; px) of all frames, with hair and shoulders.
 
-    The head stays complete in 98 % of the frames; the side is twice the usual head, so that the shoulders' upper
-    part is in it.
+    The square spans the 1st to the 99th percentile of the boxes. Its side is at least twice the median head height, so
+    that the upper shoulders are visible.
     """
     low, high = np.percentile(boxes[:, :2], 1, axis=0), np.percentile(boxes[:, 2:], 99, axis=0)
     head = float(np.median(boxes[:, 3] - boxes[:, 1]))
     side = max(2.0 * head, 1.15 * float(max(high - low)))
     center = (low + high) / 2
-    # Hair above needs less room than shoulders below.
-    return square((float(center[0]), float(center[1] + 0.12 * head)), side, width, height, size)
+    # The hair above needs less room than the shoulders below.
+    return square_crop((float(center[0]), float(center[1] + 0.12 * head)), side, width, height, size)
 
 
-def rectangle(text: str) -> tuple[int, int, int, int]:
-    """What `--crop X,Y,WIDTH,HEIGHT` says, px."""
+def parse_rectangle(text: str) -> tuple[int, int, int, int]:
+    """The four numbers of `--crop X,Y,WIDTH,HEIGHT`, px.
+
+    Raises:
+        InputError: Not four whole numbers.
+    """
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError as error:
@@ -107,13 +108,18 @@ def rectangle(text: str) -> tuple[int, int, int, int]:
     return x, y, width, height
 
 
-def explicit(text: str, width: int, height: int, size: int) -> Crop:
-    """The crop of `--crop X,Y,WIDTH,HEIGHT`; it may reach beyond the frame."""
-    x, y, crop_width, crop_height = rectangle(text)
+def explicit_crop(text: str, width: int, height: int, size: int) -> Crop:
+    """The crop that `--crop X,Y,WIDTH,HEIGHT` asks for; it may reach beyond the frame.
+
+    Raises:
+        InputError: Smaller than 16 px, more than four times the frame, or entirely outside of it.
+    """
+    x, y, crop_width, crop_height = parse_rectangle(text)
     outside = x >= width or y >= height or x + crop_width <= 0 or y + crop_height <= 0
     if crop_width < 16 or crop_height < 16 or outside or max(crop_width, crop_height) > 4 * max(width, height):
         raise InputError(
-            f"--crop {text}: expected a rectangle of at least 16 px that overlaps the {width}×{height} px frame"
+            f"--crop {text}: expected a rectangle of at least 16×16 px that overlaps the {width}×{height} px frame and "
+            "is at most four times its size"
         )
     factor = size / max(crop_width, crop_height)
     return Crop(x, y, crop_width, crop_height, max(1, round(crop_width * factor)), max(1, round(crop_height * factor)))

@@ -1,4 +1,4 @@
-"""Exact, streaming video decoding with PyAV: every frame the file presents, upright, in order, with its own time."""
+"""Exact, streaming video decoding with PyAV: every frame, upright, in presentation order, with its timestamp."""
 
 from __future__ import annotations
 
@@ -15,12 +15,16 @@ from ggavatar.errors import InputError
 from ggavatar.io.images import MAX_PIXELS
 from preprocess.video.frame import DecodedFrame
 
-# Containers only: playlists and concatenation scripts could make the decoder open other files or addresses.
+# Containers only: playlists and concatenation scripts could make the decoder open other files or URLs.
 _CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,flv,ogg,asf,mxf,gif,ivf,h264,hevc,m4v,nut"
 
 
 class Video:
-    """One video file. The file is opened by us, so no protocol but plain reading is ever used."""
+    """One video file. We open it ourselves, so the decoder uses no protocol other than reading that file.
+
+    Raises:
+        InputError: Not a video that can be decoded, or larger than the limit.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -33,30 +37,34 @@ class Video:
             return av.open(file, options={"format_whitelist": _CONTAINERS})
         except (av.error.FFmpegError, ValueError, OSError) as error:
             raise InputError(
-                f"{self.path}: not a video that can be decoded, or cut off before its index ({_words(error)}); "
+                f"{self.path}: not a video that can be decoded, or truncated before its index ({_error_text(error)}); "
                 "copy it again or convert it with ffmpeg"
             ) from error
 
     def _stream(self, container: Any) -> Any:
-        """The first real video stream (cover pictures do not count), after checking its size."""
+        """The first video stream that is not cover art, after checking its size."""
         streams = [stream for stream in container.streams.video if not _is_cover(stream)]
         if not streams:
             kinds = sorted({stream.type for stream in container.streams}) or ["nothing"]
             raise InputError(
-                f"{self.path}: no video in this file, only {', '.join(kinds)}; give a file with pictures in it"
+                f"{self.path}: no video in this file, only {', '.join(kinds)}; give a file with a video stream"
             )
         context = streams[0].codec_context
         if context is None:
-            raise InputError(f"{self.path}: its codec is not known here; convert it with ffmpeg to H.264")
+            raise InputError(f"{self.path}: unknown codec; convert the video to H.264 with ffmpeg")
         if context.width * context.height > MAX_PIXELS:
             raise InputError(
-                f"{self.path}: {context.width}×{context.height} px; "
-                f"up to {MAX_PIXELS // 1_000_000} megapixels are decoded"
+                f"{self.path}: expected at most {MAX_PIXELS // 1_000_000} megapixels, found "
+                f"{context.width}×{context.height} px; scale the video down with ffmpeg"
             )
         return streams[0]
 
     def frames(self) -> Iterator[DecodedFrame]:
-        """Decode from the first frame. Damaged parts are skipped and counted (`losses`)."""
+        """Decode from the first frame on; damaged parts are skipped and counted (see `losses`).
+
+        Raises:
+            InputError: The frame size changes within the video.
+        """
         self._losses = []
         with self.path.open("rb") as file, self._container(file) as container:
             stream = self._stream(container)
@@ -69,7 +77,8 @@ class Video:
                 size = size or (width, height)
                 if (width, height) != size:
                     raise InputError(
-                        f"{self.path}: frame {number} changes its size to {width}×{height} px; cut the video there"
+                        f"{self.path}: expected {size[0]}×{size[1]} px in every frame, found {width}×{height} px in "
+                        f"frame {number}; cut the video there"
                     )
                 last = seconds
                 yield DecodedFrame(number, seconds - zero, width, height, partial(_upright, frame))
@@ -77,7 +86,7 @@ class Video:
             self._compare_length(container, stream, number, last)
 
     def _decoded(self, container: Any, stream: Any) -> Iterator[Any]:
-        """Frames of all packets; a damaged packet loses its frame only."""
+        """Frames of all packets; a damaged packet costs only its own frame."""
         damaged = 0
         packets = container.demux(stream)
         while True:
@@ -86,7 +95,7 @@ class Video:
             except StopIteration:
                 break
             except (av.error.FFmpegError, ValueError) as error:
-                self._losses.append(f"reading stopped early: {_words(error)}")
+                self._losses.append(f"reading stopped early: {_error_text(error)}")
                 break
             try:
                 yield from packet.decode()
@@ -96,7 +105,7 @@ class Video:
             self._losses.append(f"{damaged} damaged packets were skipped")
 
     def _compare_length(self, container: Any, stream: Any, count: int, last: float) -> None:
-        """Note when the stream is shorter than it says; a count alone proves nothing, edit lists make it lie."""
+        """Note a loss if the stream ends before its stated duration; stated frame counts are wrong under edit lists."""
         stated = _stated_seconds(container, stream)
         if stated is None or count == 0:
             return
@@ -104,17 +113,17 @@ class Video:
         missing = start + stated - (last + step)
         if missing > max(0.5, 2.5 * step):
             self._losses.append(
-                f"the file says {stated:.1f} s, but it ends {missing:.1f} s earlier after {count} frames; "
-                "it is probably cut off"
+                f"expected {stated:.1f} s of video as the file states, but it ends {missing:.1f} s earlier after "
+                f"{count} frames; it is probably truncated"
             )
 
     def losses(self) -> list[str]:
-        """What could not be decoded, in words; complete once `frames` has ended."""
+        """Descriptions of what could not be decoded; complete once `frames` is exhausted."""
         return list(self._losses)
 
 
 def _stated_seconds(container: Any, stream: Any) -> float | None:
-    """How long the video stream says it is; Matroska keeps that in a tag, or only for the whole file."""
+    """The stated duration of the video stream, s; Matroska stores it in a tag, or only for the whole file."""
     if stream.duration:
         return float(stream.duration * stream.time_base)
     tag = re.fullmatch(r"(\d+):(\d+):(\d+(?:\.\d+)?)", stream.metadata.get("DURATION", ""))
@@ -125,24 +134,24 @@ def _stated_seconds(container: Any, stream: Any) -> float | None:
 
 
 def _is_cover(stream: Any) -> bool:
-    """Whether a stream is a single attached picture."""
+    """Whether a stream is cover art, a single attached image."""
     return bool(stream.disposition & av.stream.Disposition.attached_pic)
 
 
 def _upright(frame: Any) -> np.ndarray:
-    """8-bit RGB, turned as the container's metadata asks."""
+    """8-bit RGB, rotated as the container's metadata states."""
     image = frame.to_ndarray(format="rgb24")
     return np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90) % 4))
 
 
 def _upright_size(frame: Any) -> tuple[int, int]:
-    """Width and height after turning."""
+    """Width and height after rotation."""
     turned = round(frame.rotation / 90) % 2
     return (frame.height, frame.width) if turned else (frame.width, frame.height)
 
 
 def _deinterlaced(stream: Any, frames: Iterator[Any]) -> Iterator[Any]:
-    """Frames with both fields of the same moment; progressive frames pass untouched."""
+    """Deinterlaced frames; progressive frames pass unchanged."""
     graph = None
     for frame in frames:
         if graph is None and not frame.interlaced_frame:
@@ -157,7 +166,7 @@ def _deinterlaced(stream: Any, frames: Iterator[Any]) -> Iterator[Any]:
 
 
 def _field_filter(stream: Any) -> Any:
-    """One picture out for each picture in; only frames marked as interlaced are changed."""
+    """A filter graph that gives one frame per frame and changes only those marked as interlaced."""
     graph = av.filter.Graph()
     graph.link_nodes(
         graph.add_buffer(template=stream),
@@ -175,5 +184,5 @@ def _pulled(graph: Any) -> Iterator[Any]:
             return
 
 
-def _words(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return str(getattr(error, "strerror", None) or error)

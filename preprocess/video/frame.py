@@ -1,4 +1,4 @@
-"""A decoded frame, and what any source of frames offers."""
+"""A decoded frame, and the interface of frame sources."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class DecodedFrame(NamedTuple):
     """One frame of a source.
 
     Attributes:
-        number: Source frame number, from 0 for videos; the file's own number for pictures.
-        time: Since the first frame, s.
-        width: px, upright.
-        height: px, upright.
-        load: Converts the pixels; call it before asking for the next frame.
+        number: Source frame number, from 0 in videos; the number in the file name in image folders.
+        time: Time since the first frame, s.
+        width: Width of the upright image, px.
+        height: Height of the upright image, px.
+        load: Converts the pixels; call it before advancing to the next frame.
     """
 
     number: int
@@ -29,20 +29,20 @@ class DecodedFrame(NamedTuple):
 
     @property
     def image(self) -> UInt8[np.ndarray, "H W 3"]:
-        """8-bit sRGB, upright."""
+        """The upright image, 8-bit sRGB."""
         return self.load()
 
 
 @runtime_checkable
-class Source(Protocol):
-    """A video or a folder of pictures."""
+class FrameSource(Protocol):
+    """A video or an image folder."""
 
     path: Path
 
     def frames(self) -> Iterator[DecodedFrame]:
-        """All frames in order; each call starts again."""
+        """All frames in order; each call starts from the first."""
         ...
 
     def losses(self) -> list[str]:
-        """After `frames` has ended: what could not be decoded, in words."""
+        """Descriptions of what could not be decoded; complete once `frames` is exhausted."""
         ...

@@ -1,4 +1,4 @@
-"""A folder of numbered images as a source of frames."""
+"""A folder of numbered images as a frame source."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 
 
 class ImageFolder:
-    """PNG or JPEG files whose names hold the frame number."""
+    """PNG or JPEG files with the frame number in their names.
+
+    Raises:
+        InputError: No images in the folder.
+    """
 
     def __init__(self, path: Path, fps: float) -> None:
         self.path = path
@@ -23,29 +27,33 @@ class ImageFolder:
         self._files = numbered_images(path)
         if not self._files:
             raise InputError(
-                f"{path}: no pictures in this folder; expected PNG or JPEG files with numbers in their names"
+                f"{path}: no images in this folder; expected PNG or JPEG files with frame numbers in their names"
             )
 
     def frames(self) -> Iterator[DecodedFrame]:
-        """All pictures by number; they must be of one size."""
+        """All images in order of their numbers.
+
+        Raises:
+            InputError: The images differ in size.
+        """
         size: tuple[int, int] | None = None
         for row, (number, path) in enumerate(self._files.items()):
             header = image_header(path)
             size = size or (header.width, header.height)
             if (header.width, header.height) != size:
                 found = f"{header.width}×{header.height}"
-                raise InputError(f"{path}: expected {size[0]}×{size[1]} px like the first picture, found {found}")
+                raise InputError(f"{path}: expected {size[0]}×{size[1]} px like the first image, found {found}")
             yield DecodedFrame(number, row / self._fps, header.width, header.height, partial(read_rgb, path))
 
     def losses(self) -> list[str]:
-        """Nothing is ever skipped silently in a folder."""
+        """Empty: an image that cannot be read raises an error instead."""
         return []
 
 
 def numbered_images(folder: Path) -> dict[int, Path]:
     """PNG and JPEG files of a folder by the last number in their names, ascending.
 
-    By position if numbers are missing or repeat.
+    If a number is missing or repeated, files are numbered by position in sorted order instead.
     """
     files = sorted(
         path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")

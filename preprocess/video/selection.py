@@ -1,4 +1,4 @@
-"""Which frames of a source are taken."""
+"""Selection of frames from a source by rate, time and number."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Selection:
     """Which frames of a source to keep.
 
     Attributes:
-        fps: At most this many a second; None keeps all.
-        start: First moment, s.
-        end: Last moment, s.
-        numbers: Source frame numbers, as slice.
+        fps: Maximum number of frames per second; None keeps all.
+        start: First time to keep, s.
+        end: Last time to keep, s.
+        numbers: Source frame numbers to keep, as a slice.
     """
 
     fps: float | None = None
@@ -30,9 +30,9 @@ class Selection:
     numbers: slice = field(default_factory=lambda: slice(None))
 
     def keep(self, frames: Iterator[DecodedFrame]) -> Iterator[DecodedFrame]:
-        """Filter frames; of those that fall into one interval of 1/fps the first is kept.
+        """The selected frames; of those within one interval of 1/fps the first is kept.
 
-        Stops decoding where nothing more can follow.
+        Decoding stops after the last frame that can be selected.
         """
         first, stop, step = self.numbers.start or 0, self.numbers.stop, self.numbers.step or 1
         due, before = 0.0, None
@@ -41,8 +41,8 @@ class Selection:
                 return
             if frame.time < self.start - 1e-6 or frame.number < first or (frame.number - first) % step:
                 continue
-            # Half a source interval of tolerance, so that jitter in time stamps drops no frame of a source of just
-            # this rate.
+            # A tolerance of half a source interval, so that jittering timestamps drop no frame of a source with
+            # exactly this rate.
             early = frame.time + (0.0 if before is None else 0.5 * (frame.time - before))
             before = frame.time
             if self.fps is None or early >= due:
@@ -51,7 +51,11 @@ class Selection:
 
 
 def parse_selection(fps: float | None, start: float, end: float | None, frames: str) -> Selection:
-    """The selection that the options ask for; `InputError` if they make no sense."""
+    """The selection that `--fps`, `--start`, `--end` and `--frames` ask for.
+
+    Raises:
+        InputError: An option is malformed or out of range.
+    """
     match = _SLICE.match(frames)
     if not match or match[3] == "0":
         raise InputError(f"--frames: expected START:STOP:STEP like 0:500:2, found {frames!r}")

@@ -9,5 +9,5 @@ from tests.support.synthetic_clip import Clip, make_clip
 
 @pytest.fixture(scope="session")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
-    """The made-up subject's data; read only."""
+    """The synthetic subject's data; read only."""
     return make_clip(tmp_path_factory.mktemp("clip"))

@@ -42,7 +42,7 @@ def test_vhap_round_trip(capture: Capture, tmp_path: Path, capsys: pytest.Captur
     assert export([str(capture.folder), "--format", "vhap", "-o", str(out)]) == 0
     shown = capsys.readouterr().out
     assert f"wrote {out} (8 frames)" in shown and "not FLAME" in shown and "next: in GaussianAvatars" in shown
-    found, expected = vhap.read(out), exporters.centred(exporters.record_of(capture))[0]
+    found, expected = vhap.read(out), exporters.center_principal_point(exporters.to_tracking_record(capture))[0]
     for row in range(8):
         np.testing.assert_allclose(pixels(found, row), pixels(expected, row), atol=1e-3)
     assert len(list((out / "images").iterdir())) == 8
@@ -56,9 +56,12 @@ def test_flash_avatar_round_trip(
     assert export(arguments) == 2 and "512 × 512" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [], "a refusal leaves nothing behind"
     monkeypatch.setattr(exporters, "FLASH_AVATAR_SIDE", 96)
-    monkeypatch.setattr(exporters, "FLASH_AVATAR_TEST", 5)
+    monkeypatch.setattr(exporters, "FLASH_AVATAR_TEST_FRAMES", 5)
     assert export(arguments) == 0 and "parsing" in capsys.readouterr().out
-    found, expected = metrical_tracker.read(out / "checkpoint"), exporters.centred(exporters.record_of(capture))[0]
+    found, expected = (
+        metrical_tracker.read(out / "checkpoint"),
+        exporters.center_principal_point(exporters.to_tracking_record(capture))[0],
+    )
     for row in range(8):
         np.testing.assert_allclose(pixels(found, row), pixels(expected, row), atol=1e-3)
 

@@ -1,4 +1,4 @@
-"""A small made-up subject: a skinned ball with a nose, its video, masks and metrical-tracker files."""
+"""A small synthetic subject: a skinned ball with a nose, its video, masks and metrical-tracker files."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def as_tracking(record: TrackingRecord) -> Tracking:
 
 
 def draw(head: HeadModel, record: TrackingRecord, row: int) -> tuple[np.ndarray, np.ndarray]:
-    """A picture [H, W, 3] and mask [H, W] of one frame: a shaded head on a striped wall."""
+    """An image [H, W, 3] and mask [H, W] of one frame: a shaded head on a striped wall."""
     pixels, depth = project(
         posed_vertices(head, as_tracking(record), row), record.intrinsics[row], record.world_to_camera[row]
     )

@@ -1,1 +1,1 @@
-"""Readers of foreign tracking formats; every file here is one format and registers itself by its name."""
+"""Importers of other trackers' formats; every module here is one format, registered under its name."""

@@ -1,7 +1,8 @@
 """DECA, EMOCA and SMIRK codes: per image a folder of npy files or an npz with shape, exp, pose, cam (SMIRK: eyelid).
 
-Their camera is weak-perspective on a 224 px crop of the face. A distance at a long lens gives the same picture, but
-no metric one: give the 224 px crops as INPUT, and prefer a tracker with a real camera for training.
+Their camera is weak-perspective on a 224 px crop of the face. It is read as a distant camera with a long focal length,
+which gives the same image but no metric distance: give the 224 px crops as INPUT, and prefer a tracker with a
+perspective camera for training.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from preprocess.formats.tracking_record import TrackingRecord, require_finite, s
 TITLE = "DECA / EMOCA / SMIRK codes: NAME.npz or NAME/{shape,exp,pose,cam}.npy"
 SIDE = 224
 FOCAL = 5000.0
-"""Of the lens that stands for weak perspective, px; a head 5 m or farther away hardly shows perspective."""
+"""Focal length that stands for weak perspective, px; a head at 5 m or more shows hardly any perspective."""
 
 _KEYS = ("shape", "exp", "pose", "cam", "eyelid")
 _SIZES = {"pose": 6, "cam": 3, "eyelid": 2}
@@ -35,7 +36,7 @@ def _entries(folder: Path) -> list[Path]:
     return folders or archives
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether the first entry has exp, pose and cam."""
     try:
         return bool(_entries(folder)) and {"exp", "pose", "cam"} <= set(_values(_entries(folder)[0]))
@@ -47,7 +48,7 @@ def read(folder: Path) -> TrackingRecord:
     """Read all codes; `InputError` naming the file for anything wrong."""
     frames = {last_number(path, path.stem): _code(path) for path in _entries(folder)}
     if not frames:
-        raise InputError(f"{folder}: no codes; expected {TITLE}")
+        raise InputError(f"{folder}: expected {TITLE}; found no such files")
     numbers = sorted(frames)
     codes = [frames[number] for number in numbers]
     record = TrackingRecord(
@@ -61,7 +62,7 @@ def read(folder: Path) -> TrackingRecord:
         eyelids=np.stack([code["eyelid"] for code in codes]),
         translation=np.zeros((len(codes), 3)),
         shape=stacked(folder, [code["shape"] for code in codes], "identity coefficients").mean(axis=0),
-        notes=("weak-perspective camera: distance and focal length are made up", "the identity is the clip's mean"),
+        notes=("weak-perspective camera: distance and focal length are assumed", "the identity is the clip's mean"),
     )
     return require_finite(folder, record)
 
@@ -80,11 +81,11 @@ def _values(path: Path) -> dict[str, np.ndarray]:
 
 def _npy(path: Path) -> np.ndarray:
     if path.stat().st_size > 1 << 20:
-        raise InputError(f"{path}: more than 1 MiB for some coefficients")
+        raise InputError(f"{path}: expected coefficients of at most 1 MiB, found {path.stat().st_size >> 20} MiB")
     try:
         value = np.load(path, allow_pickle=False, max_header_size=10_000)
     except (ValueError, EOFError, OSError, MemoryError) as error:
-        raise InputError(f"{path}: not an array of numbers ({error})") from error
+        raise InputError(f"{path}: expected an array of numbers ({error})") from error
     if not isinstance(value, np.ndarray):
         raise InputError(f"{path}: expected an array, found an archive")
     return value
@@ -98,7 +99,7 @@ def _code(path: Path) -> dict[str, Any]:
     if not 0.01 < scale < 1000:
         raise InputError(f"{path}: expected a positive scale in 'cam', found {scale:g}")
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
-    # In the crop x = s (X + tx) and y = −s (Y + ty), both in halves of its side.
+    # In the crop, x = s (X + tx) and y = −s (Y + ty), both in units of half its side.
     pose[:3, 3] = [shift_x, -shift_y, FOCAL / (scale * SIDE / 2)]
     joints = np.zeros((5, 3))
     joints[0], joints[2] = checked["pose"][:3], checked["pose"][3:]
@@ -120,12 +121,12 @@ def _checked(path: Path, values: Mapping[str, np.ndarray], key: str) -> np.ndarr
 
 
 def write(folder: Path, record: TrackingRecord) -> None:
-    """Write one npz an image; cameras must be weak-perspective ones as `read` makes them."""
+    """Write one npz per image; `InputError` unless the cameras are weak-perspective as `read` gives them."""
     for row, number in enumerate(record.numbers.tolist()):
         pose, intrinsics = record.world_to_camera[row], record.intrinsics[row]
         if not np.allclose(pose[:3, :3], np.diag([1.0, -1.0, -1.0])) or (record.width, record.height) != (SIDE, SIDE):
             raise InputError(
-                "DECA's codes hold a still camera on 224 px crops only; pose the head by FLAME's root first"
+                "DECA's codes hold only a static camera on 224 px crops; move the head pose into FLAME's root first"
             )
         scale = intrinsics[0, 0] / pose[2, 3] / (SIDE / 2)
         joints = record.joint_rotations[row]

@@ -1,12 +1,11 @@
-"""INSTA: transforms.json whose matrices are camera-to-world in OpenCV axes (no OpenGL, whatever the file looks like).
+"""INSTA: transforms.json with camera-to-world matrices in OpenCV axes (not OpenGL, despite the NeRF-style file).
 
-Expressions lie in flame/exp/%05d.txt; published data sets also have flame/{jaw,eyes,eyelids,shape}. One camera for
-all frames.
+Expressions are in flame/exp/%05d.txt; published data sets also have flame/{jaw,eyes,eyelids,shape}. All frames share
+one set of intrinsics.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,24 +21,24 @@ from ggavatar.geometry.transforms import (
     rotation_6d_to_matrix,
 )
 from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import (
-    array,
     camera_matrix,
+    finite_number,
     frame_list,
     image_size,
-    inside,
-    invert,
+    invert_pose,
     last_number,
-    number,
+    number_array,
+    path_inside,
 )
 from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 
 
-def recognises(folder: Path) -> bool:
-    """Whether transforms.json and flame/exp are there."""
+def recognizes(folder: Path) -> bool:
+    """Whether the folder contains transforms.json and flame/exp."""
     return (folder / "transforms.json").is_file() and (folder / "flame" / "exp").is_dir()
 
 
@@ -50,16 +49,18 @@ def read(folder: Path) -> TrackingRecord:
     frames = {last_number(path, frame.get("file_path")): frame for frame in frame_list(path, data)}
     numbers = sorted(frames)
     width, height = image_size(path, data)
-    intrinsics = camera_matrix(*(number(path, data, key) for key in ("fl_x", "fl_y", "cx", "cy")))
-    matrices = [array(path, frames[step].get("transform_matrix"), (4, 4), "'transform_matrix'") for step in numbers]
-    coefficients = [_coefficients(path, frames[step], step) for step in numbers]
+    intrinsics = camera_matrix(*(finite_number(path, data, key) for key in ("fl_x", "fl_y", "cx", "cy")))
+    matrices = [
+        number_array(path, frames[number].get("transform_matrix"), (4, 4), "'transform_matrix'") for number in numbers
+    ]
+    coefficients = [_coefficients(path, frames[number], number) for number in numbers]
     has_jaw = (folder / "flame" / "jaw").is_dir()
     record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
         intrinsics=np.tile(intrinsics, (len(numbers), 1, 1)),
-        world_to_camera=np.stack([invert(matrix) for matrix in matrices]),
+        world_to_camera=np.stack([invert_pose(matrix) for matrix in matrices]),
         expression=stacked(path, [values["exp"] for values in coefficients], "expression coefficients"),
         joint_rotations=np.stack([values["joints"] for values in coefficients]),
         eyelids=np.stack([values["eyelids"] for values in coefficients]),
@@ -67,14 +68,14 @@ def read(folder: Path) -> TrackingRecord:
         shape=coefficients[0]["shape"],
         notes=()
         if has_jaw
-        else ("there is no flame/jaw: the jaw stays closed; give metrical-tracker's checkpoint folder instead",),
+        else ("no flame/jaw, so the jaw stays closed; give metrical-tracker's checkpoint folder instead",),
     )
     return require_finite(folder, record)
 
 
-def _coefficients(path: Path, frame: Mapping[str, Any], step: int) -> dict[str, Any]:
+def _coefficients(path: Path, frame: Mapping[str, Any], number: int) -> dict[str, Any]:
     """FLAME parameters of one frame from its text files."""
-    expression = inside(path, frame.get("exp_path", f"flame/exp/{step:05d}.txt"))
+    expression = path_inside(path, frame.get("exp_path", f"flame/exp/{number:05d}.txt"))
     folder = expression.parent.parent
     joints = np.zeros((5, 3))
     jaw, eyes, lids, shape = (
@@ -95,22 +96,24 @@ def _coefficients(path: Path, frame: Mapping[str, Any], step: int) -> dict[str, 
 
 
 def _rotations(path: Path, values: np.ndarray, count: int) -> np.ndarray:
-    """Axis-angle from 6D rows, or axis-angle as it is."""
+    """Axis-angle rotations from 6D rows, or from axis-angle values as they are."""
     if values.size == 6 * count:
         return matrix_to_axis_angle(rotation_6d_to_matrix(torch.from_numpy(values.reshape(count, 6)))).numpy()
     if values.size == 3 * count:
         return values.reshape(count, 3)
-    raise InputError(f"{path}: expected {6 * count} or {3 * count} numbers a file, found {values.size}")
+    raise InputError(f"{path}: expected {6 * count} or {3 * count} numbers per file, found {values.size}")
 
 
 def _text(path: Path, optional: bool = False) -> Any:
-    """Numbers of a small text file; None if it may be absent and is."""
+    """The numbers of a small text file; None if it is optional and missing."""
     if not path.is_file():
         if optional:
             return None
-        raise InputError(f"{path}: no such file; it should hold the frame's coefficients")
+        raise InputError(f"{path}: no such file; expected the frame's coefficients in it")
     if path.stat().st_size > 1 << 20:
-        raise InputError(f"{path}: more than 1 MiB of text for some coefficients")
+        raise InputError(
+            f"{path}: expected a text file with coefficients of at most 1 MiB, found {path.stat().st_size >> 20} MiB"
+        )
     try:
         return np.array([float(part) for part in path.read_text(encoding="utf-8").split()], dtype=np.float64)
     except ValueError as error:
@@ -118,17 +121,20 @@ def _text(path: Path, optional: bool = False) -> Any:
 
 
 def write(folder: Path, record: TrackingRecord) -> None:
-    """Write transforms.json, its splits (the last 350 test) and the text files.
+    """Write transforms.json, its splits (the last 350 frames test) and the text files.
 
-    Only the first frame's intrinsics fit into the format.
+    The format holds only one set of intrinsics: those of the first frame.
+
+    Raises:
+        InputError: The head is posed by FLAME's root, neck or translation, which the format cannot hold.
     """
     if np.abs(record.joint_rotations[:, :2]).max() > 1e-6 or np.abs(record.translation).max() > 1e-9:
         raise InputError(
-            "INSTA's format has no root or neck rotation and no translation; fold them into the camera first"
+            "INSTA's format has no root or neck rotation and no translation; move them into the camera first"
         )
-    frames = [_frame(record, row, step) for row, step in enumerate(record.numbers.tolist())]
-    for row, step in enumerate(record.numbers.tolist()):
-        _write_coefficients(folder / "flame", record, row, step)
+    frames = [_frame(record, row, number) for row, number in enumerate(record.numbers.tolist())]
+    for row, number in enumerate(record.numbers.tolist()):
+        _write_coefficients(folder / "flame", record, row, number)
     intrinsics = record.intrinsics[0]
     angles = [
         2 * float(np.arctan(size / (2 * intrinsics[axis, axis])))
@@ -140,14 +146,13 @@ def write(folder: Path, record: TrackingRecord) -> None:
     shared |= {"camera_angle_x": angles[0], "camera_angle_y": angles[1]}
     shared |= {"x_fov": float(np.degrees(angles[0])), "y_fov": float(np.degrees(angles[1]))}
     for suffix, part in {"": frames, "_train": frames[:-350], "_test": frames[-350:], "_val": frames[-20:]}.items():
-        text = json.dumps(shared | {"frames": part}, indent=1)
-        write_text(folder / f"transforms{suffix}.json", text)
+        write_json(folder / f"transforms{suffix}.json", shared | {"frames": part})
 
 
-def _frame(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
-    name = f"{step:05d}"
+def _frame(record: TrackingRecord, row: int, number: int) -> dict[str, Any]:
+    name = f"{number:05d}"
     return {
-        "transform_matrix": invert(record.world_to_camera[row]).tolist(),
+        "transform_matrix": invert_pose(record.world_to_camera[row]).tolist(),
         "file_path": f"images/{name}.png",
         "mesh_path": f"meshes/{name}.obj",
         "exp_path": f"flame/exp/{name}.txt",
@@ -156,7 +161,7 @@ def _frame(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
     }
 
 
-def _write_coefficients(folder: Path, record: TrackingRecord, row: int, step: int) -> None:
+def _write_coefficients(folder: Path, record: TrackingRecord, row: int, number: int) -> None:
     rows = matrix_to_rotation_6d(axis_angle_to_matrix(torch.from_numpy(record.joint_rotations[row, 2:]))).numpy()
     shape = record.shape if record.shape is not None else np.zeros(300)
     parts = {
@@ -168,4 +173,4 @@ def _write_coefficients(folder: Path, record: TrackingRecord, row: int, step: in
     }
     for name, values in parts.items():
         text = "".join(f"{value:.9g}\n" for value in values)
-        write_text(folder / name / f"{step:05d}.txt", text)
+        write_text(folder / name / f"{number:05d}.txt", text)

@@ -1,13 +1,13 @@
-"""metrical-tracker (Zielon): one `.frame` file per image, written by torch.save and read without running anything.
+"""metrical-tracker (Zielon): one `.frame` file per image, written by torch.save and read without executing code.
 
-The head stays in FLAME's frame and the camera moves. Eyes are stored in FLAME's joint order; `img_size` is (height,
-width).
+The head stays in FLAME's coordinates and the camera moves. Eyes are stored in FLAME's joint order; `img_size` is
+(height, width).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ TITLE = "metrical-tracker: folder of %05d.frame"
 _NAME = re.compile(r"^(\d{1,9})\.frame$")
 
 
-def recognises(folder: Path) -> bool:
-    """Whether the folder, or `checkpoint` in it, holds `.frame` files."""
+def recognizes(folder: Path) -> bool:
+    """Whether the folder, or `checkpoint` in it, contains `.frame` files."""
     return bool(_files(folder))
 
 
@@ -44,21 +44,21 @@ def _files(folder: Path) -> dict[int, Path]:
 
 
 def read(folder: Path) -> TrackingRecord:
-    """Read every `.frame` of a folder.
+    """Read every `.frame` file of a folder.
 
     Raises:
-        InputError: A file is damaged, hostile, or lacks what metrical-tracker writes; cameras that contradict each
-            other.
+        InputError: No such files, or a file is damaged, hostile, incomplete, or contradicts the others.
     """
     files = _files(folder)
     if not files:
-        raise InputError(f"{folder}: no files like 00000.frame; give metrical-tracker's `checkpoint` folder")
+        raise InputError(f"{folder}: expected files such as 00000.frame; give metrical-tracker's `checkpoint` folder")
     frames = [_read_frame(path) for path in files.values()]
     height, width = frames[0]["size"]
     for path, frame in zip(files.values(), frames, strict=True):
         if frame["size"] != (height, width):
             raise InputError(
-                f"{path}: img_size is {frame['size']}, the first file has {(height, width)}; track the video in one go"
+                f"{path}: expected img_size {(height, width)} as in the first file, found {frame['size']}; track the "
+                "video in a single run"
             )
     shapes = stacked(folder, [frame["shape"] for frame in frames], "identity coefficients")
     notes = (
@@ -82,7 +82,7 @@ def read(folder: Path) -> TrackingRecord:
 
 
 def _read_frame(path: Path) -> dict[str, Any]:
-    """One file, in our conventions."""
+    """The content of one file in our conventions."""
     content = read_pickle(path)
     flame, camera = _table(path, content, "flame"), _table(path, content, "opencv")
     size = np.asarray(content.get("img_size"))
@@ -116,7 +116,7 @@ def _table(path: Path, content: object, key: str) -> Mapping[str, Any]:
 
 
 def _array(path: Path, table: Mapping[str, Any], key: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """An array of the table without its leading batch axis of one, as float64."""
+    """An array of the table as float64 without its leading batch axis of size 1."""
     value = table.get(key)
     if (
         isinstance(value, np.ndarray)
@@ -129,28 +129,27 @@ def _array(path: Path, table: Mapping[str, Any], key: str, shape: tuple[int | No
             return value.astype(np.float64)
     found = value.shape if isinstance(value, np.ndarray) else type(value).__name__
     raise InputError(
-        f"{path}: expected {key!r} as floating-point array (1, {', '.join(map(str, shape))}), found {found}"
+        f"{path}: expected {key!r} as a floating-point array of shape (1, {', '.join(map(str, shape))}), found {found}"
     )
 
 
 def write(folder: Path, record: TrackingRecord) -> None:
-    """Write `.frame` files such as metrical-tracker's, readable by FlashAvatar, INSTA and others.
+    """Write metrical-tracker's `.frame` files, which FlashAvatar, INSTA and others read.
 
     Raises:
-        InputError: The head is posed by FLAME's root, neck or translation, which the format cannot hold; fold them
-            into the camera first.
+        InputError: The head is posed by FLAME's root, neck or translation, which the format cannot hold.
     """
     if np.abs(record.joint_rotations[:, :2]).max() > 1e-6 or np.abs(record.translation).max() > 1e-9:
         raise InputError(
-            "metrical-tracker's format has no root or neck rotation and no translation; fold them into the camera first"
+            "metrical-tracker's format has no root or neck rotation and no translation; move them into the camera first"
         )
     folder.mkdir(parents=True, exist_ok=True)
     for row, number in enumerate(record.numbers):
-        torch.save(_frame(record, row), folder / f"{int(number):05d}.frame")
+        torch.save(frame_dictionary(record, row), folder / f"{int(number):05d}.frame")
 
 
-def _frame(record: TrackingRecord, row: int) -> dict[str, Any]:
-    """The dictionary of one frame."""
+def frame_dictionary(record: TrackingRecord, row: int) -> dict[str, Any]:
+    """The content of one `.frame` file: row `row` of the record."""
     joints = torch.from_numpy(record.joint_rotations[row])
     rows = matrix_to_rotation_6d(axis_angle_to_matrix(joints)).numpy()
     pose, intrinsics = record.world_to_camera[row], record.intrinsics[row]
@@ -183,26 +182,13 @@ def _padded(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def _pytorch3d(pose: np.ndarray, intrinsics: np.ndarray, width: int, height: int) -> dict[str, np.ndarray]:
-    """The same camera as PyTorch3D's NDC: row vectors, +X left, +Y up; lengths in half the shorter side."""
+    """The same camera in PyTorch3D's NDC: row vectors, +X left, +Y up; lengths in units of half the shorter side."""
     half = min(width, height) / 2
     rotation = pose[:3, :3].T * np.array([-1.0, -1.0, 1.0])
-    centre = np.array([width / 2 - intrinsics[0, 2], height / 2 - intrinsics[1, 2]]) / half
+    center = np.array([width / 2 - intrinsics[0, 2], height / 2 - intrinsics[1, 2]]) / half
     return {
         "R": rotation[:2].reshape(-1),
         "t": pose[:3, 3] * np.array([-1.0, -1.0, 1.0]),
         "fl": intrinsics[:1, 0] / half,
-        "pp": centre,
+        "pp": center,
     }
-
-
-def consistent(frames: Iterable[Mapping[str, Any]]) -> float:
-    """Largest difference between the two cameras a `.frame` holds; they are the same camera written twice."""
-    worst = 0.0
-    for frame in frames:
-        opencv, camera = frame["opencv"], frame["camera"]
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = opencv["R"][0], opencv["t"][0]
-        height, width = (int(size) for size in frame["img_size"])
-        for name, value in _pytorch3d(pose, opencv["K"][0], width, height).items():
-            worst = max(worst, float(np.abs(camera[name][0] - value).max()))
-    return worst

@@ -1,34 +1,32 @@
 """NeRFBlendShape: transforms.json with OpenGL cameras and 46 blendshape coefficients of its own, which are not FLAME's.
 
-Its pixel coordinates are whole numbers at pixel centres, so half a pixel is added to the principal point. The head
-model of these coefficients is not part of the data set: the usual way is to track the video again.
+Pixel centers have integer coordinates, so half a pixel is added to the principal point. The head model that these
+coefficients belong to is not part of the data set: usually the video has to be tracked again.
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import (
-    array,
     camera_matrix,
-    camera_to_world_gl,
+    finite_number,
     frame_list,
     image_size,
-    number,
-    world_to_camera_gl,
+    number_array,
+    pose_from_opengl,
+    pose_to_opengl,
 )
 from preprocess.formats.tracking_record import TrackingRecord, require_finite
 
 TITLE = "NeRFBlendShape: transforms.json with exp_ori (not FLAME)"
 
 
-def recognises(folder: Path) -> bool:
+def recognizes(folder: Path) -> bool:
     """Whether transforms.json has frames with img_id and exp_ori."""
     path = folder / "transforms.json"
     try:
@@ -45,23 +43,25 @@ def read(folder: Path) -> TrackingRecord:
     data = read_json(path)
     frames = {}
     for frame in frame_list(path, data):
-        step = frame.get("img_id")
-        if type(step) is not int or not 0 <= step < 1 << 31:
-            raise InputError(f"{path}: expected 'img_id' to be a whole number, found {step!r:.60}")
-        frames[step] = frame
+        number = frame.get("img_id")
+        if type(number) is not int or not 0 <= number < 1 << 31:
+            raise InputError(f"{path}: expected 'img_id' to be a whole number, found {number!r:.60}")
+        frames[number] = frame
     numbers, count = sorted(frames), len(frames)
     width, height = image_size(path, data)
-    focal_x, focal_y, center_x, center_y = (number(path, data, key) for key in ("fx", "fy", "cx", "cy"))
-    matrices = [array(path, frames[step].get("transform_matrix"), (4, 4), "'transform_matrix'") for step in numbers]
-    expression = [array(path, frames[step].get("exp_ori"), (None,), "'exp_ori'") for step in numbers]
+    focal_x, focal_y, center_x, center_y = (finite_number(path, data, key) for key in ("fx", "fy", "cx", "cy"))
+    matrices = [
+        number_array(path, frames[number].get("transform_matrix"), (4, 4), "'transform_matrix'") for number in numbers
+    ]
+    expression = [number_array(path, frames[number].get("exp_ori"), (None,), "'exp_ori'") for number in numbers]
     if len({len(values) for values in expression}) != 1:
-        raise InputError(f"{path}: frames have different numbers of coefficients in 'exp_ori'")
+        raise InputError(f"{path}: expected the same number of coefficients in 'exp_ori' of all frames")
     record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
         intrinsics=np.tile(camera_matrix(focal_x, focal_y, center_x + 0.5, center_y + 0.5), (count, 1, 1)),
-        world_to_camera=np.stack([camera_to_world_gl(matrix) for matrix in matrices]),
+        world_to_camera=np.stack([pose_from_opengl(matrix) for matrix in matrices]),
         expression=np.stack(expression),
         joint_rotations=np.zeros((count, 5, 3)),
         eyelids=np.zeros((count, 2)),
@@ -77,15 +77,14 @@ def write(folder: Path, record: TrackingRecord) -> None:
     intrinsics = record.intrinsics[0]
     frames = [
         {
-            "img_id": step,
-            "transform_matrix": world_to_camera_gl(record.world_to_camera[row]).tolist(),
+            "img_id": number,
+            "transform_matrix": pose_to_opengl(record.world_to_camera[row]).tolist(),
             "exp_ori": record.expression[row].tolist(),
         }
-        for row, step in enumerate(record.numbers.tolist())
+        for row, number in enumerate(record.numbers.tolist())
     ]
     shared = {
         "h": record.height, "w": record.width, "fx": float(intrinsics[0, 0]), "fy": float(intrinsics[1, 1]),
         "cx": float(intrinsics[0, 2]) - 0.5, "cy": float(intrinsics[1, 2]) - 0.5,
     }  # fmt: skip
-    text = json.dumps(shared | {"frames": frames}, indent=1)
-    write_text(folder / "transforms.json", text)
+    write_json(folder / "transforms.json", shared | {"frames": frames})

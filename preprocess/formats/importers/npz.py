@@ -1,7 +1,4 @@
-"""Plain npz: the arrays of our own tracking.npz, with `frames`, `width` and `height` beside them.
-
-For trackers of one's own.
-"""
+"""Plain npz for custom trackers: the arrays of our tracking.npz plus `frames`, `width` and `height`."""
 
 from __future__ import annotations
 
@@ -19,8 +16,8 @@ TITLE = (
 )
 
 
-def recognises(folder: Path) -> bool:
-    """Whether it is an npz file with our names in it."""
+def recognizes(folder: Path) -> bool:
+    """Whether the path is an npz file that contains `world_to_camera`."""
     if folder.suffix.lower() != ".npz" or not folder.is_file():
         return False
     try:
@@ -30,7 +27,11 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> TrackingRecord:
-    """Read the file; `version` (unicode) may name FLAME's version."""
+    """Read the file; an optional string `version` names the FLAME version.
+
+    Raises:
+        InputError: An array is missing, malformed or of the wrong shape.
+    """
     arrays = read_tracking(folder)
     count = arrays["intrinsics"].shape[0]
     check_tracking(folder, arrays, count)
@@ -45,7 +46,7 @@ def read(folder: Path) -> TrackingRecord:
         or np.any(np.diff(numbers) <= 0)
         or numbers.min(initial=0) < 0
     ):
-        raise InputError(f"{folder}: expected 'frames' to be {count} ascending frame numbers")
+        raise InputError(f"{folder}: expected 'frames' to be {count} ascending frame numbers of 0 or more")
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     values = {name: arrays[name].astype(np.float64) for name in names}
     record = TrackingRecord(
@@ -67,7 +68,10 @@ def read(folder: Path) -> TrackingRecord:
 def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:
     value = arrays.get(key)
     if value is None or value.shape != () or value.dtype.kind not in "iu" or not 1 <= int(value) <= 16384:
-        raise InputError(f"{path}: expected {key!r}, the size in px of the images the intrinsics belong to")
+        raise InputError(
+            f"{path}: expected {key!r} to be a whole number from 1 to 16384: the size in px of the images that the "
+            "intrinsics belong to"
+        )
     return int(value)
 
 

@@ -1,12 +1,11 @@
-"""VHAP's export, which GaussianAvatars reads: transforms.json with OpenGL cameras, one flame_param npz a timestep.
+"""VHAP's export, which GaussianAvatars reads: transforms.json with OpenGL cameras, one flame_param npz per timestep.
 
-FLAME 2023; the head is posed by FLAME's own rotation and translation. Of several cameras the first is read. Teeth and
-per-frame offsets are left out, static offsets are kept for the head.
+FLAME 2023; the head is posed by FLAME's own rotation and translation. Of several cameras, the first is read. Teeth and
+per-frame offsets are left out; static offsets are kept for the head.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,18 +13,17 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.npz import read_npz, write_npz
-from preprocess.formats.json_fields import (  # fmt: skip
-    array,
+from preprocess.formats.json_fields import (
     camera_matrix,
-    camera_to_world_gl,
+    finite_number,
     frame_list,
     image_size,
-    inside,
-    number,
-    world_to_camera_gl,
+    number_array,
+    path_inside,
+    pose_from_opengl,
+    pose_to_opengl,
 )
 from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
 
@@ -44,8 +42,8 @@ _KEYS = (
 _SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 
 
-def recognises(folder: Path) -> bool:
-    """Whether transforms.json and flame_param are there."""
+def recognizes(folder: Path) -> bool:
+    """Whether the folder contains transforms.json (or one of its splits) and flame_param."""
     return (folder / "flame_param").is_dir() and any(
         (folder / name).is_file() for name in ("transforms.json", *_SPLITS)
     )
@@ -59,20 +57,20 @@ def read(folder: Path) -> TrackingRecord:
     chosen = {_timestep(source, frame): frame for frame in frames if frame.get("camera_index", 0) == camera}
     numbers = sorted(chosen)
     width, height = image_size(source, chosen[numbers[0]])
-    parameters = [_parameters(inside(source, chosen[timestep].get("flame_param_path"))) for timestep in numbers]
+    parameters = [_parameters(path_inside(source, chosen[timestep].get("flame_param_path"))) for timestep in numbers]
     notes = [f"camera {camera} of {len(cameras)} is used"] if len(cameras) > 1 else []
     if any(np.any(values["dynamic_offset"]) for values in parameters if "dynamic_offset" in values):
         notes.append("per-frame offsets of VHAP are left out")
     offset = parameters[0].get("static_offset")
     poses = [
-        camera_to_world_gl(array(source, chosen[step].get("transform_matrix"), (4, 4), "'transform_matrix'"))
-        for step in numbers
+        pose_from_opengl(number_array(source, chosen[number].get("transform_matrix"), (4, 4), "'transform_matrix'"))
+        for number in numbers
     ]
     record = TrackingRecord(
         numbers=np.array(numbers, dtype=np.int64),
         width=width,
         height=height,
-        intrinsics=np.stack([_intrinsics(source, chosen[step]) for step in numbers]),
+        intrinsics=np.stack([_intrinsics(source, chosen[number]) for number in numbers]),
         world_to_camera=np.stack(poses),
         expression=stacked(folder, [values["expr"].reshape(-1) for values in parameters], "expression coefficients"),
         joint_rotations=np.stack([_joints(values) for values in parameters]),
@@ -87,7 +85,7 @@ def read(folder: Path) -> TrackingRecord:
 
 
 def _frames(folder: Path) -> tuple[list[Mapping[str, Any]], Path]:
-    """All frames, with the values shared at the top filled in."""
+    """All frames with the shared top-level values filled in, and the first file."""
     paths = (
         [folder / "transforms.json"] if (folder / "transforms.json").is_file() else [folder / name for name in _SPLITS]
     )
@@ -99,7 +97,7 @@ def _frames(folder: Path) -> tuple[list[Mapping[str, Any]], Path]:
             if data.get("frames"):
                 frames += [shared | dict(frame) for frame in frame_list(path, data)]
     if not frames:
-        raise InputError(f"{folder}: no frames in transforms.json")
+        raise InputError(f"{folder}: expected frames in transforms.json, found none; export the tracking again")
     return frames, paths[0]
 
 
@@ -111,11 +109,11 @@ def _timestep(path: Path, frame: Mapping[str, Any]) -> int:
 
 
 def _intrinsics(path: Path, frame: Mapping[str, Any]) -> np.ndarray:
-    return camera_matrix(*(number(path, frame, key) for key in ("fl_x", "fl_y", "cx", "cy")))
+    return camera_matrix(*(finite_number(path, frame, key) for key in ("fl_x", "fl_y", "cx", "cy")))
 
 
 def _parameters(path: Path) -> dict[str, np.ndarray]:
-    """One flame_param file."""
+    """The arrays of one flame_param file as float64."""
     values = read_npz(path, _KEYS)
     sizes = {
         "translation": 3,
@@ -143,23 +141,23 @@ def _parameters(path: Path) -> dict[str, np.ndarray]:
 
 
 def _joints(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Root, neck, jaw, left eye, right eye."""
+    """Rotations of root, neck, jaw, left eye and right eye."""
     names = ("rotation", "neck_pose", "jaw_pose", "eyes_pose")
     return np.concatenate([values[name].reshape(-1, 3) for name in names])
 
 
 def write(folder: Path, record: TrackingRecord) -> None:
-    """Write transforms.json, its splits and flame_param as VHAP does: the first 70 % train, the rest tests.
+    """Write transforms.json, its splits and flame_param as VHAP does: the first 70 % of the frames train.
 
-    GaussianAvatars ignores the principal point: give it images whose centre it is.
+    GaussianAvatars ignores the principal point: give it images with the principal point at the center.
     """
     (folder / "flame_param").mkdir(parents=True, exist_ok=True)
     offset = record.extra.get("static_offset")
     static = np.zeros((1, 5143, 3), np.float32) if offset is None else np.asarray(offset, np.float32)[None]
     frames = []
-    for row, step in enumerate(record.numbers.tolist()):
-        write_npz(folder / "flame_param" / f"{step:05d}.npz", _flame_arrays(record, row, static))
-        frames.append(_frame(record, row, step))
+    for row, number in enumerate(record.numbers.tolist()):
+        write_npz(folder / "flame_param" / f"{number:05d}.npz", _flame_arrays(record, row, static))
+        frames.append(_frame(record, row, number))
     still = {
         key: np.zeros_like(value) if key in _STILL else value for key, value in _flame_arrays(record, 0, static).items()
     }
@@ -174,10 +172,8 @@ def write(folder: Path, record: TrackingRecord) -> None:
         "_test": frames[train:],
     }
     for suffix, part in parts.items():
-        text = json.dumps(
-            {"frames": part, "timestep_indices": record.numbers.tolist(), "camera_indices": [0]}, indent=1
-        )
-        write_text(folder / f"transforms{suffix}.json", text)
+        shared = {"timestep_indices": record.numbers.tolist(), "camera_indices": [0]}
+        write_json(folder / f"transforms{suffix}.json", {"frames": part} | shared)
 
 
 _STILL = frozenset({"translation", "rotation", "neck_pose", "eyes_pose", "expr"})
@@ -198,15 +194,15 @@ def _flame_arrays(record: TrackingRecord, row: int, static: np.ndarray) -> dict[
     }
 
 
-def _frame(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
+def _frame(record: TrackingRecord, row: int, number: int) -> dict[str, Any]:
     """One entry of transforms.json."""
     intrinsics = record.intrinsics[row]
     focal = intrinsics[[0, 1], [0, 1]]
     angles = 2 * np.arctan(np.array([record.width, record.height]) / (2 * focal))
     return {
-        "timestep_index": step,
-        "timestep_index_original": step,
-        "timestep_id": f"{step:05d}",
+        "timestep_index": number,
+        "timestep_index_original": number,
+        "timestep_id": f"{number:05d}",
         "camera_index": 0,
         "camera_id": "0",
         "cx": float(intrinsics[0, 2]),
@@ -217,8 +213,8 @@ def _frame(record: TrackingRecord, row: int, step: int) -> dict[str, Any]:
         "h": record.height,
         "camera_angle_x": float(angles[0]),
         "camera_angle_y": float(angles[1]),
-        "transform_matrix": world_to_camera_gl(record.world_to_camera[row]).tolist(),
-        "file_path": f"images/{step:05d}_00.png",
-        "fg_mask_path": f"fg_masks/{step:05d}_00.png",
-        "flame_param_path": f"flame_param/{step:05d}.npz",
+        "transform_matrix": pose_to_opengl(record.world_to_camera[row]).tolist(),
+        "file_path": f"images/{number:05d}_00.png",
+        "fg_mask_path": f"fg_masks/{number:05d}_00.png",
+        "flame_param_path": f"flame_param/{number:05d}.npz",
     }

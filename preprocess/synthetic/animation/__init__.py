@@ -1,1 +1,1 @@
-"""What the generated person does in front of the camera."""
+"""Animation of the generated person: performance, posing, hair motion."""

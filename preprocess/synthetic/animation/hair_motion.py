@@ -1,7 +1,4 @@
-"""How scalp hair lags.
-
-Damped springs that follow the head's pose, in bands of different stiffness, blended along the strands.
-"""
+"""Motion of scalp hair: damped springs that follow the head's pose, in bands of different stiffness."""
 
 from __future__ import annotations
 
@@ -13,14 +10,16 @@ from scipy.spatial.transform import Rotation, Slerp
 from preprocess.synthetic.animation.motion import FPS
 
 BANDS = (1.5, 2.3, 3.4)
+"""Natural frequencies of the springs, Hz."""
 _DAMPING, _STEPS = 0.32, 8
 
 
 def lagging_poses(head_to_room: Float[ndarray, "T 4 4"], hang: float) -> Float[ndarray, "B T 4 4"]:
-    """For every band of natural frequencies (Hz), the pose that a tuft of hair would like to have in each frame.
+    """Poses of damped springs that follow the head's pose, one sequence per band.
 
-    The pose is a damped spring drawn to the head's pose; its tilt is partly that of a plumb line, by `hang` from 0 to
-    1.
+    Args:
+        head_to_room: Head poses.
+        hang: How upright the hair stays when the head tilts, from 0 (like the head) to 1 (like a plumb line).
     """
     upright = _upright(head_to_room, hang)
     target = np.concatenate((Rotation.from_matrix(upright[:, :3, :3]).as_rotvec(), upright[:, :3, 3]), axis=1)
@@ -33,7 +32,7 @@ def lagging_poses(head_to_room: Float[ndarray, "T 4 4"], hang: float) -> Float[n
 
 
 def _springs(target: ndarray, frequency: float) -> ndarray:
-    """Semi-implicit Euler of a damped oscillator per column, eight steps a frame."""
+    """Damped oscillators that follow the columns, by semi-implicit Euler with eight steps per frame."""
     omega, step = 2 * np.pi * frequency, 1 / (FPS * _STEPS)
     place, speed = target[0].copy(), np.zeros(target.shape[1])
     result = np.empty_like(target)
@@ -48,10 +47,7 @@ def _springs(target: ndarray, frequency: float) -> ndarray:
 
 
 def _upright(poses: ndarray, hang: float) -> ndarray:
-    """Poses whose pitch and roll are reduced by `hang`.
-
-    About the middle of the head, so that long hair falls straight.
-    """
+    """Poses with pitch and roll reduced by `hang` about the middle of the head, so that long hair hangs straight."""
     if hang <= 0:
         return poses
     turned = Rotation.from_matrix(poses[:, :3, :3])
@@ -67,10 +63,13 @@ def _upright(poses: ndarray, hang: float) -> ndarray:
     return result
 
 
-def swung(
+def swing_hair(
     nodes: Float[ndarray, "S N 3"], head: Float[ndarray, "4 4"], lags: Float[ndarray, "B 4 4"], flex: float
 ) -> Float[ndarray, "S N 3"]:
-    """Nodes in the room: roots on the head, tips as far towards their band's lagging pose as `flex` allows."""
+    """Strand nodes in the room, m: roots on the head, tips blended towards their band's lagging pose by `flex`.
+
+    Strand i belongs to band i modulo the number of bands.
+    """
     at_head = nodes @ head[:3, :3].T + head[:3, 3]
     if flex <= 0:
         return at_head

@@ -1,7 +1,4 @@
-"""What the embedded subject does.
-
-Speech, blinks, brows, smiles, gaze and head motion as curves over time, drawn from a seed.
-"""
+"""The performance: speech, gestures, blinks, gaze and head motion as curves over time, generated from a seed."""
 
 from __future__ import annotations
 
@@ -14,21 +11,24 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 FPS = 25
+"""Frames per second."""
 NECK_PIVOT = np.array([0.0, -0.1100, -0.0450])
+"""Point about which the head turns, head space, m."""
 _BLINK = (0.25, 0.85, 1.0, 0.90, 0.55, 0.25, 0.08)
+"""Closing of the lids in the frames of a blink."""
 
 
 @dataclass(frozen=True)
-class Motion:
-    """T frames of true animation.
+class Performance:
+    """What the person does in T frames.
 
     Attributes:
         expression: Coefficients in the order of the head's expression basis.
-        jaw: Axis-angle, rad.
-        eyes: Axis-angle of the left and the right eye, rad.
+        jaw: Axis-angle rotation of the jaw, rad.
+        eyes: Axis-angle rotations of the left and the right eye, rad.
         eyelids: Closing of the left and the right lid.
-        head_to_room: Rigid pose of the head; at rest, head space is room space.
-        torso_to_room: Rigid pose of the shoulders, a small sway.
+        head_to_room: Rigid pose of the head; the identity at rest.
+        torso_to_room: Rigid pose of the torso, which sways slightly.
     """
 
     expression: Float[ndarray, "T E"]
@@ -41,7 +41,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class Viseme:
-    """A mouth shape of speech: jaw angle in rad and expression coefficients."""
+    """A mouth shape of speech.
+
+    Attributes:
+        jaw: Opening angle of the jaw, rad.
+        shapes: Expression names and coefficients.
+    """
 
     jaw: float
     shapes: tuple[tuple[str, float], ...]
@@ -64,7 +69,13 @@ _VISEME_ODDS = (0.18, 0.15, 0.12, 0.10, 0.08, 0.13, 0.06, 0.09, 0.05, 0.04)
 
 @dataclass(frozen=True)
 class Gesture:
-    """A facial gesture: coefficients at its height and its usual length in seconds."""
+    """A facial gesture.
+
+    Attributes:
+        shapes: Expression names and coefficients at the peak.
+        seconds: Typical duration, s.
+        silent: Whether speech pauses during the gesture.
+    """
 
     shapes: tuple[tuple[str, float], ...]
     seconds: float
@@ -105,10 +116,10 @@ GESTURES = (
 )
 
 
-def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
-    """Motion of `frames` frames at 25 fps for a head with the given expression names.
+def perform(names: tuple[str, ...], frames: int, seed: int) -> Performance:
+    """A performance of `frames` frames at 25 fps for a head with the given expression names; decided by the seed.
 
-    Long clips contain every gesture at least once, smiles to their extreme, and head yaw to ±35°.
+    Long clips contain every gesture at least once, smiles to their extreme, and head yaw up to ±35°.
     """
     generator = np.random.default_rng(seed)
     index = {name: column for column, name in enumerate(names)}
@@ -122,18 +133,18 @@ def perform(names: tuple[str, ...], frames: int, seed: int) -> Motion:
     yaw, pitch, roll, shift = _head(frames, generator)
     eyes = _gaze(frames, yaw, pitch, generator)
     eyelids = _eyelids(frames, eyes, yaw, generator)
-    return Motion(expression, jaw, eyes, eyelids, _pose(yaw, pitch, roll, shift), _sway(frames, yaw, generator))
+    return Performance(expression, jaw, eyes, eyelids, _pose(yaw, pitch, roll, shift), _sway(frames, yaw, generator))
 
 
 def _drift(frames: int, width: int, generator: np.random.Generator) -> ndarray:
-    """Smooth noise of unit root mean square; `width` in frames."""
+    """Smooth noise with a root mean square of 1; `width` is the Gaussian's standard deviation in frames."""
     padding = int(4 * width)
     noise = gaussian_filter1d(generator.standard_normal(frames + 2 * padding), width)[padding : padding + frames]
     return noise * np.sqrt(2 * width * np.sqrt(np.pi))
 
 
 def _envelope(frames: int, center: float, length: float) -> ndarray:
-    """0 → 1 → 0 around `center` with quick attack, hold and slow release; frames."""
+    """A curve 0 → 1 → 0 around `center` with quick attack, hold and slow release; times in frames."""
     time = np.arange(frames) - center
     attack = np.clip((time + 0.5 * length) / (0.24 * length), 0, 1)
     release = np.clip((0.5 * length - time) / (0.34 * length), 0, 1)
@@ -141,7 +152,7 @@ def _envelope(frames: int, center: float, length: float) -> ndarray:
 
 
 def _gestures(index: dict[str, int], frames: int, generator: np.random.Generator) -> tuple[ndarray, ndarray]:
-    """Gestures one after another in shuffled order, repeated with new strengths; and when they silence speech."""
+    """Coefficients of gestures in shuffled order with varying strength, and by how much they silence speech."""
     expression, quiet = np.zeros((frames, len(index))), np.zeros(frames)
     time = 0.35 * FPS
     order: list[int] = []
@@ -158,7 +169,7 @@ def _gestures(index: dict[str, int], frames: int, generator: np.random.Generator
 
 
 def _speech(index: dict[str, int], frames: int, generator: np.random.Generator) -> tuple[ndarray, ndarray]:
-    """Phrases of syllables at about 4.5 Hz; returns expression coefficients and jaw angle in rad."""
+    """Expression coefficients and jaw angle (rad) of speech: phrases of syllables at about 4.5 Hz."""
     expression, jaw = np.zeros((frames, len(index))), np.zeros(frames)
     time, phrase_end = 0.2 * FPS, FPS * generator.uniform(1.5, 3.0)
     clock = np.arange(frames)
@@ -177,13 +188,13 @@ def _speech(index: dict[str, int], frames: int, generator: np.random.Generator) 
 
 
 def _laugh(gestures: ndarray, index: dict[str, int]) -> ndarray:
-    """Jaw opening that goes with the broadest smiles, in [0, 1]."""
+    """Jaw opening of the broadest smiles, in [0, 1]."""
     both = np.minimum(gestures[:, index["smile_left"]], gestures[:, index["smile_right"]])
     return np.clip((both - 0.75) / 0.35, 0, 1)
 
 
 def _head(frames: int, generator: np.random.Generator) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Yaw, pitch, roll in rad and shift in m; the widest yaw is 35°, in a long clip to both sides."""
+    """Yaw, pitch and roll of the head in rad and its shift in m; yaw reaches 35° to both sides in long clips."""
     time = np.arange(frames) / FPS
     yaw = 0.62 * np.sin(2 * np.pi * time / 9.5 + generator.uniform(0, 6.28)) + 0.30 * _drift(frames, 14, generator)
     high, low = max(yaw.max(), 0.2), max(-yaw.min(), 0.2)
@@ -195,10 +206,7 @@ def _head(frames: int, generator: np.random.Generator) -> tuple[ndarray, ndarray
 
 
 def _gaze(frames: int, yaw: ndarray, pitch: ndarray, generator: np.random.Generator) -> ndarray:
-    """Saccades between fixations.
-
-    Half of the head's turn is compensated, as when somebody keeps looking at the camera.
-    """
+    """Eye rotations: saccades between fixations, with half of the head's rotation compensated to face the camera."""
     target = np.zeros((frames, 2))
     start = 0
     while start < frames:
@@ -215,7 +223,7 @@ def _gaze(frames: int, yaw: ndarray, pitch: ndarray, generator: np.random.Genera
 
 
 def _eyelids(frames: int, eyes: ndarray, yaw: ndarray, generator: np.random.Generator) -> ndarray:
-    """Blinks every two to five seconds, more often when the head turns; lids follow the gaze downwards."""
+    """Lid closing: blinks every two to five seconds, more often when the head turns; lids follow the gaze down."""
     closing = np.zeros(frames)
     turning = np.abs(np.gradient(yaw)) * FPS
     time = FPS * generator.uniform(0.5, 1.6)
@@ -231,7 +239,7 @@ def _eyelids(frames: int, eyes: ndarray, yaw: ndarray, generator: np.random.Gene
 
 
 def _pose(yaw: ndarray, pitch: ndarray, roll: ndarray, shift: ndarray) -> ndarray:
-    """Rigid transforms that turn about the neck and then shift."""
+    """Rigid transforms that rotate about the neck and then shift."""
     turn = Rotation.from_euler("YXZ", np.stack((yaw, pitch, roll), axis=1)).as_matrix()
     pose = np.tile(np.eye(4), (len(yaw), 1, 1))
     pose[:, :3, :3] = turn
@@ -240,7 +248,7 @@ def _pose(yaw: ndarray, pitch: ndarray, roll: ndarray, shift: ndarray) -> ndarra
 
 
 def _sway(frames: int, yaw: ndarray, generator: np.random.Generator) -> ndarray:
-    """The torso breathes and sways by millimetres and turns by a tenth of the head's yaw, late."""
+    """Torso poses: breathing and a sway of millimeters, and a delayed rotation by 8 % of the head's yaw."""
     late = gaussian_filter1d(np.concatenate((np.full(8, yaw[0]), yaw)), 6)[:frames]
     breath = 0.0012 * np.sin(2 * np.pi * np.arange(frames) / FPS / 3.6)
     shift = np.stack((0.003 * _drift(frames, 25, generator), breath, 0.002 * _drift(frames, 25, generator)), axis=1)

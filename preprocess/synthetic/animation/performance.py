@@ -1,4 +1,4 @@
-"""One frame's geometry: the tracked head plus everything that a linear skin cannot express, in the room."""
+"""Posing of one frame: the head model plus sticky lips, bulges and neck twist, which the head model cannot express."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from scipy.spatial.transform import Rotation
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.expression import lower_share
 from ggavatar.head.procedural.model import procedural_names
-from preprocess.synthetic.animation.motion import Motion
+from preprocess.synthetic.animation.motion import Performance
 from preprocess.synthetic.person.character import Character
-from preprocess.synthetic.person.texture_space import step
+from preprocess.synthetic.person.texture_space import smoothstep
 from preprocess.synthetic.person.wrinkles import bulge_strengths
 
 _STUCK, _FREE = 0.0004, 0.0030
 
 
-def tracked_vertices(head: HeadModel, motion: Motion, index: int) -> Float[ndarray, "V 3"]:
-    """What the head model alone makes of a frame, in head space, m."""
+def tracked_vertices(head: HeadModel, performance: Performance, index: int) -> Float[ndarray, "V 3"]:
+    """The head model's vertices in one frame, head space, m."""
     rotations = torch.zeros(len(head.parents), 3)
-    rotations[head.joint("jaw")] = torch.from_numpy(motion.jaw[index])
-    rotations[head.joint("left_eye")] = torch.from_numpy(motion.eyes[index, 0])
-    rotations[head.joint("right_eye")] = torch.from_numpy(motion.eyes[index, 1])
+    rotations[head.joint("jaw")] = torch.from_numpy(performance.jaw[index])
+    rotations[head.joint("left_eye")] = torch.from_numpy(performance.eyes[index, 0])
+    rotations[head.joint("right_eye")] = torch.from_numpy(performance.eyes[index, 1])
     drive = dataclasses.replace(
         head.neutral_drive(),
-        expression=torch.from_numpy(motion.expression[index]).float(),
+        expression=torch.from_numpy(performance.expression[index]).float(),
         joint_rotations=rotations,
-        eyelids=torch.from_numpy(motion.eyelids[index]).float(),
+        eyelids=torch.from_numpy(performance.eyelids[index]).float(),
     )
     with torch.no_grad():
         return head.vertices(drive).numpy().astype(np.float64)
@@ -41,7 +41,16 @@ def tracked_vertices(head: HeadModel, motion: Motion, index: int) -> Float[ndarr
 
 @dataclass(frozen=True)
 class StickyLips:
-    """Which vertices follow which pair of the lip margin when it sticks."""
+    """Lips that stick together: pairs of vertices on the lip margin, and the vertices that follow each pair.
+
+    Attributes:
+        upper: Upper vertex of each pair.
+        lower: Lower vertex of each pair.
+        cling: How strongly each pair sticks, from 0.25 in the middle to 1 at the corners.
+        vertices: Vertices that follow a pair.
+        pair: The pair that each of them follows.
+        weight: How much each of them follows; negative on the lower lip.
+    """
 
     upper: ndarray
     lower: ndarray
@@ -51,10 +60,10 @@ class StickyLips:
     weight: ndarray
 
     def apply(self, points: Float[ndarray, "V 3"]) -> Float[ndarray, "V 3"]:
-        """Close small gaps, those near the corners up to 3 mm, as moist lips do."""
+        """Vertices with small gaps between the lips closed, up to 3 mm near the corners, as moist lips do."""
         gap = points[self.upper] - points[self.lower]
         size = np.linalg.norm(gap, axis=1)
-        hold = 1 - step(0.0, 1.0, (size - _STUCK) / (self.cling * (_FREE - _STUCK) + 1e-6))
+        hold = 1 - smoothstep(0.0, 1.0, (size - _STUCK) / (self.cling * (_FREE - _STUCK) + 1e-6))
         pull = 0.5 * gap * hold[:, None]
         moved = points.copy()
         sign = np.where(self.weight > 0, -1.0, 1.0)
@@ -63,7 +72,7 @@ class StickyLips:
 
 
 def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
-    """Pairs of the lip margin and the vertices around them; positive weights belong to the upper lip."""
+    """Sticky lips of a head; `generic` are the vertices of the generic head, m."""
     loop = head.regions["lip_margin"].numpy()
     half = len(loop) // 2
     upper, lower = loop[1:half], loop[:half:-1]
@@ -81,29 +90,38 @@ def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
 
 
 @dataclass(frozen=True)
-class Pose:
-    """Posed vertices in the room, m: head, garment, worn things, lenses; and named expression values."""
+class PosedGeometry:
+    """Posed geometry of one frame.
+
+    Attributes:
+        head: Vertices of the head in the room, m.
+        torso: Vertices of the garment, m.
+        accessory: Vertices of glasses or hat, m.
+        lens: Vertices of the lenses, m.
+        values: Expression coefficients by name.
+        mouth_open: Mean gap between the lips, m.
+    """
 
     head: Float[ndarray, "W 3"]
     torso: Float[ndarray, "A 3"]
-    worn: Float[ndarray, "B 3"]
+    accessory: Float[ndarray, "B 3"]
     lens: Float[ndarray, "C 3"]
     values: dict[str, float]
     mouth_open: float
 
 
-def pose(character: Character, lips: StickyLips, motion: Motion, index: int) -> Pose:
-    """All geometry of a frame."""
-    values = dict(zip(procedural_names()[0], motion.expression[index].tolist(), strict=True))
-    tracked = lips.apply(tracked_vertices(character.head, motion, index))
+def pose_character(character: Character, lips: StickyLips, performance: Performance, index: int) -> PosedGeometry:
+    """The person's geometry in one frame of a performance."""
+    values = dict(zip(procedural_names()[0], performance.expression[index].tolist(), strict=True))
+    tracked = lips.apply(tracked_vertices(character.head, performance, index))
     fine = character.fine.weights @ tracked
     fine = fine + np.einsum("bs,bsvc->vc", bulge_strengths(values), character.bulges)
     opening = float(np.linalg.norm(tracked[lips.upper] - tracked[lips.lower], axis=1).mean())
-    head, torso = motion.head_to_room[index], motion.torso_to_room[index]
-    return Pose(
+    head, torso = performance.head_to_room[index], performance.torso_to_room[index]
+    return PosedGeometry(
         head=_twisted(fine, character.rest[:, 1], head, torso),
         torso=_moved(character.torso.points, torso),
-        worn=_moved(character.worn.points, head),
+        accessory=_moved(character.accessory.points, head),
         lens=_moved(character.lens.points, head),
         values=values,
         mouth_open=opening,
@@ -115,8 +133,8 @@ def _moved(points: ndarray, transform: ndarray) -> ndarray:
 
 
 def _twisted(points: ndarray, height: ndarray, head: ndarray, torso: ndarray) -> ndarray:
-    """Head above, torso below, and in between a neck that twists: the relative rotation is taken in part."""
-    share = step(-0.158, -0.072, height)
+    """Head pose above, torso pose below, and in between a neck that takes part of the relative rotation."""
+    share = smoothstep(-0.158, -0.072, height)
     between = np.linalg.inv(torso) @ head
     turn = Rotation.from_matrix(between[:3, :3]).as_rotvec()
     middle = (share > 0) & (share < 1)

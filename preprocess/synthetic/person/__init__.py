@@ -1,1 +1,1 @@
-"""What the generated person looks like."""
+"""Appearance of the generated person: shape, skin, hair, clothes."""

@@ -1,4 +1,4 @@
-"""Glasses and a knitted hat, rigid on the head. Built on the generic head; the caller applies the person's warps."""
+"""Glasses and a knitted hat for the generic head; the caller warps them to the person's identity."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LENS_Z, _TUBE = 0.0560, 0.0013
 
 
 def tube(path: Float[ndarray, "N 3"], radius: float, *, closed: bool, sides: int = 8) -> Part:
-    """A round tube along a polyline."""
+    """A round tube along a polyline, m."""
     following, before = np.roll(path, -1, axis=0), np.roll(path, 1, axis=0)
     if not closed:
         following[-1], before[0] = path[-1], path[0]
@@ -30,7 +30,7 @@ def tube(path: Float[ndarray, "N 3"], radius: float, *, closed: bool, sides: int
 
 
 def merged(parts: list[Part]) -> Part:
-    """Several pieces as one."""
+    """Several parts as one."""
     starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     return Part(
         np.concatenate([p.vertices for p in parts]),
@@ -39,7 +39,7 @@ def merged(parts: list[Part]) -> Part:
 
 
 def _rim(sign: float) -> Float[ndarray, "N 3"]:
-    """Outline of one lens, a rounded panto shape that wraps a little."""
+    """Outline of one lens, a rounded panto shape with a slight wrap."""
     angle = np.arange(48) * 2 * np.pi / 48
     x = 0.0232 * np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.75
     y = np.where(np.sin(angle) > 0, 0.0185, 0.0205) * np.sign(np.sin(angle)) * np.abs(np.sin(angle)) ** 0.8
@@ -48,7 +48,7 @@ def _rim(sign: float) -> Float[ndarray, "N 3"]:
 
 
 def glasses_frame() -> Part:
-    """Rims, bridge and temples."""
+    """The frame of the glasses: rims, bridge and temples."""
     parts = []
     for sign in (1.0, -1.0):
         rim = _rim(sign)
@@ -70,7 +70,7 @@ def glasses_frame() -> Part:
 
 
 def lenses() -> Part:
-    """Both lenses as slightly domed fans."""
+    """Both lenses as slightly domed disks."""
     parts = []
     for sign in (1.0, -1.0):
         rim = _rim(sign)

@@ -1,4 +1,4 @@
-"""The five embedded subjects as data."""
+"""Descriptions of the five generated people."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Skin:
-    """How skin looks; colours are sRGB.
+    """Appearance of the skin; colors are sRGB.
 
     Attributes:
-        tone: Base colour.
-        flush: Colour of cheeks, nose and ears where blood shows.
-        lips: Colour of the vermilion.
-        freckles: Share of strength from 0 to 1.
-        stubble: Darkness of the shaved beard from 0 to 1.
-        age: How deep lines stay at rest, 0 to 1.
-        gloss: Factor of the highlights.
+        tone: Base color.
+        flush: Color of cheeks, nose and ears, where blood shows through.
+        lips: Color of the vermilion.
+        freckles: Strength of freckles, 0 to 1.
+        stubble: Darkness of the shaved beard, 0 to 1.
+        age: Depth of wrinkles at rest, 0 to 1.
+        gloss: Factor on the highlights.
     """
 
     tone: Color
@@ -32,21 +32,21 @@ class Skin:
 
 
 @dataclass(frozen=True)
-class Hair:
-    """A hair style.
+class HairStyle:
+    """A hairstyle.
 
     Attributes:
-        color: Colour of the strands, sRGB.
-        strands: Number of them.
+        color: Color of the strands, sRGB.
+        strands: Number of strands.
         length: Mean length on the crown, m.
         fringe: Length above the forehead, m.
-        comb: Direction in which it lies near the roots: +x left, +y up, +z forward.
-        lift: How far it stands off the head at the roots, 0 to 1.
+        comb: Direction of the strands near the roots: +x left, +y up, +z forward.
+        lift: How far the strands stand off the head at the roots, 0 to 1.
         curl: Radius of the waves, m.
-        wave: Waves per metre.
-        flex: How much it lags behind the head, 0 to 1.
-        part: x of the parting, m; None combs everything the same way.
-        width: Of a strand, m.
+        wave: Waves per meter.
+        flex: How much the hair lags behind the head, 0 to 1.
+        part: x of the parting, m; None combs all hair the same way.
+        width: Width of a strand, m.
     """
 
     color: Color
@@ -64,20 +64,30 @@ class Hair:
 
 @dataclass(frozen=True)
 class Beard:
-    """Facial hair: strands per beard, length and width in m.
+    """A full beard.
 
-    `full` reaches from ear to ear, otherwise moustache and chin.
+    Attributes:
+        strands: Number of strands.
+        length: Longest strand, m.
+        color: Color, sRGB.
     """
 
     strands: int
     length: float
     color: Color
-    full: bool = True
 
 
 @dataclass(frozen=True)
 class Garment:
-    """Clothes: main and second colour (sRGB), pattern and neckline drop in front, m."""
+    """A garment.
+
+    Attributes:
+        color: Main color, sRGB.
+        accent: Second color, sRGB.
+        pattern: Pattern of the cloth.
+        neckline: How far the neckline drops in front, m.
+        collar: Height of the collar, m.
+    """
 
     color: Color
     accent: Color
@@ -88,12 +98,27 @@ class Garment:
 
 @dataclass(frozen=True)
 class Person:
-    """One subject; identity coefficients by name, the rest as above."""
+    """Description of one person; colors are sRGB.
+
+    Attributes:
+        identity: Identity coefficients by name.
+        skin: Skin.
+        iris: Color of the irises.
+        hair: Scalp hair.
+        brow: Color of the eyebrows.
+        garment: Garment.
+        brow_weight: Density of the eyebrows, about 1.
+        lashes: Fullness of the lashes, about 0.3 to 1.2.
+        beard: Beard, or None.
+        glasses: Color of the glasses' frame, or None.
+        hat: Color of the hat, or None.
+        wall: Color of the wall behind.
+    """
 
     identity: dict[str, float]
     skin: Skin
     iris: Color
-    hair: Hair
+    hair: HairStyle
     brow: Color
     garment: Garment
     brow_weight: float = 1.0
@@ -116,7 +141,7 @@ PEOPLE: dict[int, Person] = {
         },
         skin=Skin((0.84, 0.65, 0.55), (0.80, 0.47, 0.40), (0.72, 0.42, 0.39), freckles=0.25, stubble=0.32),
         iris=(0.30, 0.42, 0.50),
-        hair=Hair(
+        hair=HairStyle(
             (0.26, 0.16, 0.10),
             16000,
             0.068,
@@ -151,7 +176,7 @@ PEOPLE: dict[int, Person] = {
         },
         skin=Skin((0.87, 0.69, 0.57), (0.84, 0.50, 0.44), (0.76, 0.36, 0.38), age=0.05, gloss=1.1),
         iris=(0.30, 0.18, 0.10),
-        hair=Hair(
+        hair=HairStyle(
             (0.10, 0.065, 0.05),
             15000,
             0.260,
@@ -184,7 +209,7 @@ PEOPLE: dict[int, Person] = {
         },
         skin=Skin((0.42, 0.27, 0.20), (0.42, 0.22, 0.16), (0.42, 0.24, 0.21), age=0.2, gloss=1.7),
         iris=(0.17, 0.10, 0.06),
-        hair=Hair(
+        hair=HairStyle(
             (0.045, 0.035, 0.03), 9000, 0.012, 0.010, comb=(0.0, 0.3, -0.4), lift=0.7, curl=0.0015, wave=160.0, flex=0.0
         ),
         brow=(0.05, 0.04, 0.035),
@@ -212,7 +237,7 @@ PEOPLE: dict[int, Person] = {
         },
         skin=Skin((0.84, 0.66, 0.58), (0.80, 0.48, 0.42), (0.68, 0.43, 0.41), stubble=0.12, age=1.0, gloss=0.9),
         iris=(0.38, 0.45, 0.40),
-        hair=Hair(
+        hair=HairStyle(
             (0.62, 0.60, 0.57),
             12000,
             0.046,
@@ -248,7 +273,7 @@ PEOPLE: dict[int, Person] = {
         },
         skin=Skin((0.90, 0.71, 0.63), (0.88, 0.52, 0.46), (0.80, 0.45, 0.44), freckles=1.0, age=0.08),
         iris=(0.28, 0.45, 0.32),
-        hair=Hair(
+        hair=HairStyle(
             (0.60, 0.28, 0.12),
             15000,
             0.165,

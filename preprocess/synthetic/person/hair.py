@@ -1,9 +1,4 @@
-"""Growing strands.
-
-Scalp hair that is combed, falls and clumps, and short hair (brows, lashes, beard) that sits on moving skin.
-
-Scalp hair is grown on the generic head in metres; `Groom.nodes` are rest positions in head space.
-"""
+"""Growth of scalp hair on the generic head: combed, falling, clumped strands."""
 
 from __future__ import annotations
 
@@ -15,11 +10,12 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 from ggavatar.head.procedural.surface import CHEEKS, JAW, NECK, SKULL, Blob, skin_distance
-from preprocess.synthetic.person.description import Hair
-from preprocess.synthetic.person.skin_paint import scalp_share
+from preprocess.synthetic.person.description import HairStyle
+from preprocess.synthetic.person.skin_paint import scalp_coverage
 from preprocess.synthetic.person.texture_space import noise
 
 NODES = 14
+"""Nodes per strand."""
 _SHOULDERS = (
     Blob((0.030, -0.150, -0.060), (0.165, -0.190, -0.055), (0.034, 0.042), 0.03),
     Blob((0.0, -0.260, -0.050), (0.0, -0.300, -0.050), (0.080, 0.090), 0.03, (1.9, 1.0, 1.0)),
@@ -28,28 +24,31 @@ _OBSTACLES = (*SKULL, *NECK, *JAW, *CHEEKS, *_SHOULDERS)
 
 
 @dataclass(frozen=True)
-class Groom:
+class ScalpHair:
     """Scalp hair at rest.
 
     Attributes:
         nodes: Positions from root to tip, head space, m.
         tone: Brightness factor of every strand.
-        depth: How open to the light every node is, 0 inside the hair to 1 outside.
+        openness: How exposed to the light every node is, from 0 inside the hair to 1 outside.
     """
 
     nodes: Float[ndarray, "S N 3"]
     tone: Float[ndarray, " S"]
-    depth: Float[ndarray, "S N"]
+    openness: Float[ndarray, "S N"]
 
 
-def scatter(
+def sample_surface(
     points: Float[ndarray, "V 3"],
     faces: Int[ndarray, "F 3"],
     density: Float[ndarray, " F"],
     count: int,
     generator: np.random.Generator,
 ) -> tuple[Int[ndarray, " S"], Float[ndarray, "S 3"]]:
-    """Random places on a mesh, more where `density` (per area) is high: face and barycentric weights."""
+    """Random points on a mesh with the given relative density per area: faces and barycentric weights.
+
+    Not `trimesh.sample.sample_surface`: its different draws would change the hair of every person.
+    """
     corners = points[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     odds = area * density
@@ -58,22 +57,22 @@ def scatter(
     return face, np.stack((1 - first, first * (1 - second), first * second), axis=1)
 
 
-def grow(roots: Float[ndarray, "S 3"], hair: Hair, seed: int) -> Groom:
-    """Scalp hair from given roots on the generic head."""
+def grow_scalp_hair(roots: Float[ndarray, "S 3"], hair: HairStyle, seed: int) -> ScalpHair:
+    """Scalp hair from the given roots on the generic head, m."""
     generator = np.random.default_rng([seed, 3])
     count = len(roots)
     lengths = _lengths(roots, hair) * generator.uniform(0.78, 1.12, count)
     layer = generator.uniform(size=count) ** 0.8
-    nodes = _fall(roots, lengths, layer, hair, generator)
+    nodes = _march_strands(roots, lengths, layer, hair, generator)
     nodes = _clump(nodes, hair, generator)
     share = np.linspace(0, 1, NODES)
-    depth = np.clip(0.25 + 0.45 * layer[:, None] + 0.35 * share * (0.4 + 0.6 * layer[:, None]), 0, 1)
+    openness = np.clip(0.25 + 0.45 * layer[:, None] + 0.35 * share * (0.4 + 0.6 * layer[:, None]), 0, 1)
     tone = np.clip(1 + 0.22 * generator.standard_normal(count) + 0.18 * noise(roots, 0.02, seed + 9), 0.4, 1.8)
-    return Groom(nodes, tone, depth)
+    return ScalpHair(nodes, tone, openness)
 
 
-def _lengths(roots: ndarray, hair: Hair) -> ndarray:
-    """Length of every strand, m: the fringe has its own, short cuts taper to the sides and the nape."""
+def _lengths(roots: ndarray, hair: HairStyle) -> ndarray:
+    """Length of every strand, m: separate for the fringe, and tapering to sides and nape in short cuts."""
     front = np.clip((roots[:, 2] - 0.005) / 0.03, 0, 1) * np.clip((roots[:, 1] - 0.05) / 0.02, 0, 1)
     length = hair.length + (hair.fringe - hair.length) * front
     if hair.length < 0.10:
@@ -82,7 +81,7 @@ def _lengths(roots: ndarray, hair: Hair) -> ndarray:
     return length
 
 
-def _combed(roots: ndarray, hair: Hair) -> ndarray:
+def _combed(roots: ndarray, hair: HairStyle) -> ndarray:
     """Direction in which every strand is combed."""
     comb = np.tile(np.asarray(hair.comb), (len(roots), 1))
     if hair.part is not None:
@@ -100,11 +99,10 @@ def _gradient(points: ndarray) -> tuple[ndarray, ndarray]:
     return values[0], gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-12)
 
 
-def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generator: np.random.Generator) -> ndarray:
-    """March from root to tip.
-
-    Lifted off the skin, combed, drawn down, kept outside head and shoulders and out of the face.
-    """
+def _march_strands(
+    roots: ndarray, lengths: ndarray, layer: ndarray, hair: HairStyle, generator: np.random.Generator
+) -> ndarray:
+    """Nodes from root to tip: lifted off the skin, combed, pulled down, kept off head, shoulders and face."""
     _, normal = _gradient(roots)
     comb = _combed(roots, hair) + 0.16 * generator.standard_normal((len(roots), 3))
     comb -= (comb * normal).sum(axis=1, keepdims=True) * normal
@@ -118,7 +116,7 @@ def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generato
     heavy = np.clip(lengths / 0.10, 0.15, 1)[:, None]
     for index in range(1, NODES):
         pull = 34.0 * step * heavy**2 * np.array([[0.0, -1.0, 0.0]]) + 9.0 * step * comb * (1 - 0.6 * heavy)
-        direction = direction + pull + _tuck(nodes[-1]) * step * 15.0 * heavy
+        direction = direction + pull + _away_from_face(nodes[-1]) * step * 15.0 * heavy
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         place = nodes[-1] + step * direction
         away, out = _gradient(place)
@@ -129,16 +127,16 @@ def _fall(roots: ndarray, lengths: ndarray, layer: ndarray, hair: Hair, generato
     return np.stack(nodes, axis=1)
 
 
-def _tuck(points: ndarray) -> ndarray:
-    """Keeps hair out of the face: beside and below the eyes it is drawn outwards and behind the ears."""
+def _away_from_face(points: ndarray) -> ndarray:
+    """Direction that keeps hair out of the face: beside and below the eyes, outwards and behind the ears."""
     zone = np.clip((points[:, 2] + 0.004) / 0.02, 0, 1) * np.clip((0.085 - points[:, 1]) / 0.03, 0, 1)
     return zone[:, None] * np.stack(
         (0.75 * np.sign(points[:, 0]), np.zeros(len(points)), np.full(len(points), -0.75)), axis=1
     )
 
 
-def _clump(nodes: ndarray, hair: Hair, generator: np.random.Generator) -> ndarray:
-    """Draw strands towards a few leaders and wind them into waves that a clump shares."""
+def _clump(nodes: ndarray, hair: HairStyle, generator: np.random.Generator) -> ndarray:
+    """Strands drawn towards a few leaders and curled with the phase of their clump."""
     leaders = generator.choice(len(nodes), min(max(40, len(nodes) // 32), len(nodes)), replace=False)
     _, clump = cKDTree(nodes[leaders, 0]).query(nodes[:, 0])
     leader = nodes[leaders[clump]]
@@ -158,5 +156,5 @@ def _clump(nodes: ndarray, hair: Hair, generator: np.random.Generator) -> ndarra
 
 
 def scalp_density(centers: Float[ndarray, "F 3"], skin: ndarray) -> Float[ndarray, " F"]:
-    """Wanted hair per area on the faces of the generic head."""
-    return scalp_share(centers) * skin
+    """Relative hair density per area on the faces of the generic head; `skin` is 1 on the skin's faces, else 0."""
+    return scalp_coverage(centers) * skin

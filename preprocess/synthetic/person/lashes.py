@@ -9,14 +9,22 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from preprocess.synthetic.person.description import Person
-from preprocess.synthetic.person.fuzz import NODES, Fuzz, attach, tones
+from preprocess.synthetic.person.fuzz import NODES, ShortHair, attach, hair_colors
 
 _UPPER, _LOWER = 6, 3
 
 
 @dataclass(frozen=True)
 class _Roots:
-    """Where lashes stand: margin edge as two vertices, share along it, angle around the opening, side (+1 left)."""
+    """Roots of lashes.
+
+    Attributes:
+        first: First vertex of the margin edge that each lash stands on.
+        second: Second vertex of that edge.
+        share: Position along the edge, from 0 to 1.
+        angle: Angle around the eye's opening, rad.
+        side: +1 for the left eye, −1 for the right.
+    """
 
     first: ndarray
     second: ndarray
@@ -26,21 +34,21 @@ class _Roots:
 
     @property
     def upper(self) -> ndarray:
-        """Which belong to the upper lid."""
+        """Whether each lash belongs to the upper lid."""
         return np.sin(self.angle) > 1e-9
 
 
 def lashes(
     points: Float[ndarray, "V 3"], loops: tuple[ndarray, ndarray], faces: Int[ndarray, "F 3"], person: Person, seed: int
-) -> Fuzz:
-    """Lashes fanned outwards and curved up.
+) -> ShortHair:
+    """Lashes that fan outwards and curve up.
 
     Args:
         points: Vertices at rest, m.
-        loops: Margins of the left and the right eye, from the outer corner over the upper lid.
+        loops: Lid margins of the left and the right eye, from the outer corner over the upper lid.
         faces: Triangles of the skin.
-        person: For colour and fullness.
-        seed: Of the scatter.
+        person: Gives color and fullness.
+        seed: Seed of the variation.
     """
     generator = np.random.default_rng([seed, 6])
     roots = _roots(loops)
@@ -51,11 +59,11 @@ def lashes(
     color = (0.6 * person.brow[0], 0.6 * person.brow[1], 0.6 * person.brow[2])
     offsets = _curves(roots, generator) * min(1.15, 0.6 + 0.5 * person.lashes)
     widths = np.full(len(share), 0.00013 + 0.00007 * person.lashes)
-    return attach(points, faces, (owner, weights), offsets, tones(color, len(share), generator), widths)
+    return attach(points, faces, (owner, weights), offsets, hair_colors(color, len(share), generator), widths)
 
 
 def _roots(loops: tuple[ndarray, ndarray]) -> _Roots:
-    """Several lashes on every edge of both margins, more on the upper lid."""
+    """Roots on every edge of both margins, more on the upper lid."""
     parts = []
     for side, loop in zip((1.0, -1.0), loops, strict=True):
         for index in range(len(loop)):
@@ -82,7 +90,7 @@ def _curves(roots: _Roots, generator: np.random.Generator) -> Float[ndarray, "S 
 
 
 def _faces_with_edge(faces: ndarray, first: ndarray, second: ndarray) -> ndarray:
-    """For every vertex pair, a face that has both."""
+    """For every vertex pair, a face that contains both."""
     count = int(faces.max()) + 1
     edges = np.concatenate((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     keys = np.sort(edges, axis=1) @ np.array([count, 1])

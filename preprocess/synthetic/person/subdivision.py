@@ -1,4 +1,8 @@
-"""One level of Loop subdivision as a sparse matrix: smooth surfaces from the tracked head's triangles."""
+"""One level of Loop subdivision as a sparse matrix, which refines the head in every frame.
+
+Not `trimesh.remesh.subdivide_loop`: it gives vertices, not a matrix (129 ms a frame against 0.4 ms), and its weights
+for irregular vertices are Loop's, not Warren's, which would move vertices by up to 0.9 mm and change every image.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +16,18 @@ from scipy.sparse import coo_array, csr_array
 
 @dataclass(frozen=True)
 class Subdivision:
-    """A finer mesh over a coarse one.
+    """A refinement of a mesh.
 
     Attributes:
-        weights: Fine vertices as combinations of coarse ones; rows sum to 1.
-        faces: Fine triangles, four in place of each coarse one and in its order.
+        weights: Fine vertices as linear combinations of coarse ones; rows sum to 1.
+        faces: Fine triangles, four for each coarse one, in the coarse order.
     """
 
     weights: csr_array
     faces: Int[ndarray, "G 3"]
 
     def corners(self, values: Float[ndarray, "F 3 K"]) -> Float[ndarray, "G 3 K"]:
-        """Values at the corners of the coarse faces (texture coordinates), carried to the fine ones."""
+        """Values at the corners of the coarse faces (such as texture coordinates), interpolated to the fine faces."""
         a, b, c = values[:, 0], values[:, 1], values[:, 2]
         ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
         quads = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
@@ -31,7 +35,12 @@ class Subdivision:
 
 
 def subdivide(faces: Int[ndarray, "F 3"], count: int) -> Subdivision:
-    """Loop's rules (1987) with Warren's weights; boundary edges are subdivided as cubic splines."""
+    """Loop subdivision (1987) with Warren's weights; boundary edges are subdivided as cubic splines.
+
+    Args:
+        faces: Coarse triangles.
+        count: Number of coarse vertices.
+    """
     edges = np.concatenate((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     unique, inverse, uses = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     middle = inverse.reshape(3, -1).T + count
@@ -50,7 +59,7 @@ def subdivide(faces: Int[ndarray, "F 3"], count: int) -> Subdivision:
 
 
 def _old_vertices(unique: ndarray, inner: ndarray, count: int) -> tuple[ndarray, ndarray, ndarray]:
-    """Rows that move the coarse vertices: the mean of neighbours, or of boundary neighbours on a boundary."""
+    """Matrix entries of the coarse vertices, averaged with their neighbors, or boundary neighbors on a boundary."""
     on_edge = np.zeros(count, bool)
     on_edge[unique[~inner].ravel()] = True
     both = np.concatenate((unique, unique[:, ::-1]))
@@ -69,7 +78,7 @@ def _old_vertices(unique: ndarray, inner: ndarray, count: int) -> tuple[ndarray,
 def _edge_vertices(
     unique: ndarray, inner: ndarray, inverse: ndarray, faces: ndarray, count: int
 ) -> tuple[ndarray, ndarray, ndarray]:
-    """Rows of the new vertices: 3/8 of each end and 1/8 of each opposite vertex, or the midpoint on a boundary."""
+    """Matrix entries of edge vertices: 3/8 of each end and 1/8 of each opposite vertex; midpoints on a boundary."""
     number = np.arange(len(unique)) + count
     ends = np.where(inner, 3 / 8, 1 / 2)
     opposite = np.concatenate((faces[:, 2], faces[:, 0], faces[:, 1]))

@@ -1,4 +1,4 @@
-"""Shoulders in a garment, a mesh of its own that stays in the room while the head turns."""
+"""Shoulders in a garment: a separate mesh, which does not turn with the head."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from preprocess.synthetic.person.texture_space import noise, to_linear
 
 _AROUND, _LEVELS, _CENTER_Z = 96, 56, -0.054
 _KNOTS = np.array([0.0, 0.05, 0.10, 0.22, 0.36, 0.48, 0.60, 0.72, 0.86, 1.0])
-# Distance from the neck's axis and height, m, from the inside of the collar to below the picture.
+# Distance from the neck's axis and height, m, from the inside of the collar to below the image.
 _SIDE = (
     (0.050, 0.0600, 0.0660, 0.088, 0.126, 0.160, 0.186, 0.203, 0.212, 0.214),
     (-0.158, -0.138, -0.142, -0.154, -0.163, -0.174, -0.196, -0.245, -0.33, -0.46),
@@ -32,7 +32,7 @@ _BACK = (
 
 @dataclass(frozen=True)
 class Torso:
-    """Garment mesh with texture coordinates per corner."""
+    """Garment mesh: vertices in m, triangles, and texture coordinates of every corner."""
 
     points: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
@@ -40,7 +40,7 @@ class Torso:
 
 
 def build_torso(garment: Garment) -> Torso:
-    """Rings from the collar over the shoulders down to below the picture."""
+    """A garment mesh of rings from the collar over the shoulders to below the image."""
     share = np.linspace(0, 1, _LEVELS) ** 1.15
     heading = np.linspace(0, 2 * np.pi, _AROUND + 1)
     profiles = [[PchipInterpolator(_KNOTS, values)(share) for values in pair] for pair in (_SIDE, _FRONT, _BACK)]
@@ -51,9 +51,9 @@ def build_torso(garment: Garment) -> Torso:
         for which in (0, 1)
     )
     collar = np.exp(-((share / 0.10) ** 2))[:, None]
-    open_ = np.exp(-((share / 0.16) ** 2))[:, None] * front[None] ** 1.5
-    height = height - garment.neckline * open_ * (1 if garment.pattern != "shirt" else 1.0)
-    radius = radius + garment.neckline * 0.22 * open_
+    opening = np.exp(-((share / 0.16) ** 2))[:, None] * front[None] ** 1.5
+    height = height - garment.neckline * opening
+    radius = radius + garment.neckline * 0.22 * opening
     height = height + garment.collar * collar
     fold = 0.0016 * np.sin(9 * heading + 3 * np.sin(2 * heading))[None] * np.clip(share * 3 - 0.6, 0, 1)[:, None]
     radius = radius + fold
@@ -65,7 +65,7 @@ def build_torso(garment: Garment) -> Torso:
 
 
 def paint_garment(garment: Garment, size: int, seed: int) -> tuple[Float[ndarray, "R R 3"], Float[ndarray, "R R"]]:
-    """Linear colour and relief in m of the garment's texture."""
+    """Linear color and relief in m of the garment's texture."""
     v, u = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     flat = np.stack((u.ravel(), v.ravel(), np.zeros(size * size)), axis=1)
     cloth = (1 + 0.06 * noise(flat, 0.05, seed) + 0.05 * noise(flat, 0.008, seed + 1)).reshape(size, size, 1)

@@ -1,4 +1,4 @@
-"""What a linear skin cannot do: lines, folds and dimples that deepen, and cheeks that bulge, as expressions grow."""
+"""Wrinkles and bulges that appear with expressions, which a linear head model cannot express."""
 
 from __future__ import annotations
 
@@ -8,23 +8,22 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from preprocess.synthetic.person.texture_space import Texels, bump, noise, step
+from preprocess.synthetic.person.texture_space import Texels, mirrored_gaussian, noise, smoothstep
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A group of lines on one or both halves of the face.
+    """A group of wrinkles on both halves of the face.
 
     Attributes:
         curves: Polylines in x, y of the generic head seen from the front, left half, m.
-        drivers: Expression names (without side if `sided`) and weights; the fold's strength is their rectified,
-            slightly quadratic sum.
+        drivers: Expression names (without the side if `sided`) and weights; see `strength`.
         depth: Depth of the groove at full strength, m.
         width: Half width of the groove, m.
-        sided: Each half has its own strength.
-        rest: Share of the depth that age leaves at rest.
+        sided: Whether each half has its own strength.
+        rest: Fraction of the depth that remains at rest with age.
     """
 
     curves: tuple[tuple[Point, ...], ...]
@@ -126,7 +125,14 @@ FOLDS = (
 
 @dataclass(frozen=True)
 class Bulge:
-    """A swelling that grows with the square of its driver: cheek apples, the bunched chin, the frown's corrugator."""
+    """A swelling that grows with expressions: cheek apples, the bunched chin, the corrugator of a frown.
+
+    Attributes:
+        center: Center on the left half of the generic head, m.
+        reach: Distance along each axis at which the Gaussian has fallen to 1/e, m.
+        drivers: Expression names and weights; see `strength`.
+        out: Displacement at full strength, m.
+    """
 
     center: tuple[float, float, float]
     reach: tuple[float, float, float]
@@ -149,16 +155,21 @@ BULGES = (
 
 
 def strength(drivers: tuple[tuple[str, float], ...], side: str, values: dict[str, float]) -> float:
-    """How far a fold or bulge has grown, 0 at rest and about 1 at the extreme; faster than linear."""
+    """Strength of a fold or bulge: the weighted sum of its drivers to the power 1.6, 0 at rest and about 1 at most."""
     total = sum(weight * values[name if name in values else f"{name}_{side}"] for name, weight in drivers)
     return float(np.clip(total, 0.0, 1.3)) ** 1.6
 
 
 @dataclass(frozen=True)
-class Patch:
-    """The part of the height texture that one fold touches on one side.
+class FoldPatch:
+    """The part of the height texture that one fold changes on one side.
 
-    First row, first column, heights in m at full strength.
+    Attributes:
+        fold: The fold.
+        side: "left" or "right".
+        row: First row of the part.
+        column: First column of the part.
+        heights: Height change at full strength, m.
     """
 
     fold: Fold
@@ -168,8 +179,8 @@ class Patch:
     heights: Float[ndarray, "A B"]
 
 
-def patches(texels: Texels) -> list[Patch]:
-    """All folds as pieces of the height texture."""
+def fold_patches(texels: Texels) -> list[FoldPatch]:
+    """The parts of the height texture that the folds change."""
     found = []
     front = texels.points[:, 2] > 0.0
     flat = texels.points[:, :2]
@@ -184,12 +195,12 @@ def patches(texels: Texels) -> list[Patch]:
             rows, columns = texels.rows[heights != 0], texels.columns[heights != 0]
             canvas = np.zeros((np.ptp(rows) + 1, np.ptp(columns) + 1), np.float32)
             canvas[rows - rows.min(), columns - columns.min()] = heights[heights != 0]
-            found.append(Patch(fold, side, int(rows.min()), int(columns.min()), canvas))
+            found.append(FoldPatch(fold, side, int(rows.min()), int(columns.min()), canvas))
     return found
 
 
 def _profile(points: ndarray, fold: Fold) -> ndarray:
-    """Groove with soft shoulders along the fold's curves, m; exactly 0 farther than five widths away."""
+    """Height of grooves with soft shoulders along the fold's curves, m; exactly 0 beyond five widths."""
     wobble = 0.0004 * noise(points, 0.006, 5)
     total = np.zeros(len(points))
     for curve in fold.curves:
@@ -215,8 +226,15 @@ def _distance(points: ndarray, curve: ndarray) -> tuple[ndarray, ndarray]:
     return best, place
 
 
-def add_folds(height: Float[ndarray, "R R"], pieces: list[Patch], values: dict[str, float], age: float) -> None:
-    """Add every fold at its present strength to a height texture, in place."""
+def add_folds(height: Float[ndarray, "R R"], pieces: list[FoldPatch], values: dict[str, float], age: float) -> None:
+    """Add all folds at their current strength to a height texture, in place.
+
+    Args:
+        height: The texture, m.
+        pieces: The folds' parts of it.
+        values: Expression coefficients by name.
+        age: Depth of wrinkles at rest, 0 to 1.
+    """
     for piece in pieces:
         amount = strength(piece.fold.drivers, piece.side, values) + age * piece.fold.rest
         if amount > 0.01:
@@ -225,16 +243,18 @@ def add_folds(height: Float[ndarray, "R R"], pieces: list[Patch], values: dict[s
 
 
 def bulge_fields(points: Float[ndarray, "V 3"], on_skin: ndarray) -> Float[ndarray, "B 2 V 3"]:
-    """Displacement of every bulge at full strength on the left and on the right, m."""
+    """Displacement of the vertices by every bulge at full strength on the left and on the right, m."""
     fields = np.zeros((len(BULGES), 2, len(points), 3), np.float32)
     for index, item in enumerate(BULGES):
         for side, sign in enumerate((1.0, -1.0)):
-            own = step(-0.004, 0.004, points[:, 0] * sign) if item.center[0] > 0.008 else np.full(len(points), 0.5)
-            weight = bump(points, item.center, item.reach) * own * on_skin
+            own = (
+                smoothstep(-0.004, 0.004, points[:, 0] * sign) if item.center[0] > 0.008 else np.full(len(points), 0.5)
+            )
+            weight = mirrored_gaussian(points, item.center, item.reach) * own * on_skin
             fields[index, side] = weight[:, None] * (np.asarray(item.out) * (sign, 1, 1))
     return fields
 
 
 def bulge_strengths(values: dict[str, float]) -> Float[ndarray, "B 2"]:
-    """Strength of every bulge on both sides."""
+    """Strength of every bulge on the left and on the right."""
     return np.array([[strength(item.drivers, side, values) for side in ("left", "right")] for item in BULGES])

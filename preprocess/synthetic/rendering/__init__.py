@@ -1,1 +1,1 @@
-"""Drawing the generated person: meshes, strands, light."""
+"""Rendering of the generated person: meshes, strands, light."""

@@ -1,4 +1,4 @@
-"""What is behind the person: a wall with soft light, or a room out of focus."""
+"""Backgrounds: a softly lit wall, or a room out of focus."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from numpy import ndarray
 
 
 def backdrop(kind: str, size: int, color: tuple[float, float, float], seed: int) -> Float[ndarray, "H W 3"]:
-    """Picture of the background in sRGB, the same in every frame.
+    """Image of the background in sRGB, the same in every frame.
 
     Args:
         kind: "plain" or "busy".
         size: Width and height, px.
-        color: Of the wall, sRGB.
-        seed: Of the room's furniture.
+        color: Color of the wall, sRGB.
+        seed: Seed of the room's furniture.
     """
     y, x = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     glow = 1.06 - 0.42 * ((x - 0.34) ** 2 + 0.8 * (y - 0.30) ** 2)
     wall = np.asarray(color)[None, None] * glow[..., None]
-    picture = wall if kind == "plain" else _furnish(wall, size, np.random.default_rng([seed, 8]))
-    return np.clip(picture, 0, 1).astype(np.float32)
+    image = wall if kind == "plain" else _furnish(wall, size, np.random.default_rng([seed, 8]))
+    return np.clip(image, 0, 1).astype(np.float32)
 
 
 def _furnish(wall: ndarray, size: int, generator: np.random.Generator) -> ndarray:

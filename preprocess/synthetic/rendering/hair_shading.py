@@ -1,7 +1,4 @@
-"""Light on strands: diffuse and two highlights around the strand's direction (Kajiya and Kay 1989.
-
-The shifted lobes of Scheuermann 2004).
-"""
+"""Shading of strands: Kajiya and Kay (1989) with the two shifted highlights of Scheuermann (2004)."""
 
 from __future__ import annotations
 
@@ -16,20 +13,28 @@ from preprocess.synthetic.rendering.shading import Lights, Shadow, shadowed
 def strand_colors(
     nodes: Float[ndarray, "S N 3"],
     tones: Float[ndarray, "S 3"],
-    open_: Float[ndarray, "S N"],
+    openness: Float[ndarray, "S N"],
     lights: Lights,
     shadow: Shadow,
 ) -> Float[ndarray, "S N 3"]:
-    """Linear colour of every node; `open_` is how much light reaches it through the other strands."""
+    """Linear color of every node.
+
+    Args:
+        nodes: Positions, m.
+        tones: Linear color of each strand.
+        openness: Fraction of light that reaches each node through the other strands.
+        lights: The room's lights.
+        shadow: Shadow map of the key light.
+    """
     colors = np.empty(nodes.shape, np.float32)
-    single = (np.ascontiguousarray(values, np.float32) for values in (nodes, tones, open_))
+    single = (np.ascontiguousarray(values, np.float32) for values in (nodes, tones, openness))
     _light(*single, lights, shadow, colors)
     return colors
 
 
 @kernel
-def _light(nodes, tones, open_, lights, shadow, colors):
-    """One node after another."""
+def _light(nodes, tones, openness, lights, shadow, colors):
+    """Fill `colors` [S, N, 3] node by node."""
     count = nodes.shape[1]
     for strand in range(nodes.shape[0]):
         for node in range(count):
@@ -43,13 +48,13 @@ def _light(nodes, tones, open_, lights, shadow, colors):
             vx, vy, vz = lights.camera[0] - x, lights.camera[1] - y, lights.camera[2] - z
             length = np.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx / length, vy / length, vz / length
-            open_here = open_[strand, node]
+            exposure = openness[strand, node]
             lit = shadowed(shadow, x, y, z)
             for channel in range(3):
-                colors[strand, node, channel] = tones[strand, channel] * open_here * (0.65 * lights.sky[channel] + 0.2)
+                colors[strand, node, channel] = tones[strand, channel] * exposure * (0.65 * lights.sky[channel] + 0.2)
             for light in range(lights.directions.shape[0]):
                 lx, ly, lz = lights.directions[light, 0], lights.directions[light, 1], lights.directions[light, 2]
-                reach = open_here * (0.25 + 0.75 * lit if light == 0 else 0.8)
+                reach = exposure * (0.25 + 0.75 * lit if light == 0 else 0.8)
                 cosine = tx * lx + ty * ly + tz * lz
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
                 hx, hy, hz = lx + vx, ly + vy, lz + vz

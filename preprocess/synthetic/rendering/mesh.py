@@ -1,7 +1,8 @@
-"""Which triangle is seen in every sample of an image: a z-buffer with perspective-correct barycentrics.
+"""Rasterization of meshes: a z-buffer with perspective-correct barycentric weights.
 
-Samples are the pixels of a finer image; the caller averages them. Kernels are single-threaded, so that frames can be
-drawn side by side.
+Samples are the pixels of a finer image, which the caller averages. Kernels are single-threaded, so that frames can be
+rendered in parallel. `project` and `vertex_normals` differ from their namesakes in the last bits (other order of the
+same operations), on which the generated images depend.
 """
 
 from __future__ import annotations
@@ -15,17 +16,19 @@ from numpy import ndarray
 from ggavatar.jit.kernels import kernel
 
 NOTHING = -1
+"""Face index of samples without a face."""
 _NEAR = 0.05
+"""Depth below which triangles are left out, m."""
 
 
 @dataclass(frozen=True)
 class Visibility:
-    """What is seen in every sample.
+    """The nearest surface in every sample.
 
     Attributes:
-        face: Index of the nearest face, −1 where there is none.
+        face: Index of the nearest face; −1 where there is none.
         weights: Barycentric weights of the second and third corner, perspective-correct.
-        depth: Camera z, m; infinite where there is nothing.
+        depth: Camera z, m; infinite where there is no face.
     """
 
     face: Int[ndarray, "H W"]
@@ -36,7 +39,7 @@ class Visibility:
 def project(
     points: Float[ndarray, "V 3"], intrinsics: Float[ndarray, "3 3"], world_to_camera: Float[ndarray, "4 4"]
 ) -> Float[ndarray, "V 3"]:
-    """Pixel x, pixel y (centres at +0.5) and camera z in m of world points."""
+    """Pixel x, pixel y (centers at +0.5) and camera z in m of world points."""
     seen = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     depth = seen[:, 2]
     x = seen[:, 0] * intrinsics[0, 0] / depth + intrinsics[0, 2]
@@ -45,13 +48,13 @@ def project(
 
 
 def rasterize(pixels: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], height: int, width: int) -> Visibility:
-    """The nearest triangle of every sample of an image of `height` × `width`.
+    """The nearest triangle in every sample.
 
     Args:
-        pixels: Position in samples (centres at +0.5) and camera z, m. Triangles nearer than 5 cm are left out.
-        faces: Vertex indices; both sides are drawn.
-        height: Samples down.
-        width: Samples across.
+        pixels: Position in samples (centers at +0.5) and camera z, m. Triangles nearer than 5 cm are left out.
+        faces: Vertex indices; both sides are visible.
+        height: Number of rows.
+        width: Number of columns.
     """
     face = np.full((height, width), NOTHING, np.int32)
     weights = np.zeros((height, width, 2), np.float32)
@@ -95,7 +98,7 @@ def _fill(pixels, faces, face, weights, depth):
 
 
 def vertex_normals(points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "V 3"]:
-    """Unit normals, averaged over the faces around each vertex by area."""
+    """Unit normals: area-weighted averages over the faces around each vertex."""
     normals = np.zeros((len(points), 3))
     _add_normals(np.ascontiguousarray(points, np.float64), np.ascontiguousarray(faces, np.int32), normals)
     return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)).astype(np.float32)

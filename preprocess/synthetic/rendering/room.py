@@ -1,10 +1,13 @@
-"""The room in which the embedded subject sits: its camera."""
+"""The camera of the room in which the generated person sits."""
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from numpy import ndarray
+
+from ggavatar.geometry.transforms import look_at
 
 _EYE = np.array([0.0, -0.010, 0.980])
 _TARGET = np.array([0.0, -0.022, 0.0])
@@ -17,16 +20,11 @@ def intrinsics(size: int) -> Float[ndarray, "3 3"]:
 
 
 def room_to_camera() -> Float[ndarray, "4 4"]:
-    """The camera's fixed pose in the room, OpenCV axes."""
-    forward = (_TARGET - _EYE) / np.linalg.norm(_TARGET - _EYE)
-    right = np.cross(forward, (0.0, 1.0, 0.0))
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack((right, np.cross(forward, right), forward))
-    pose[:3, 3] = -pose[:3, :3] @ _EYE
-    return pose
+    """The camera's fixed pose: from the room to OpenCV camera axes, m."""
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    return look_at(torch.from_numpy(_EYE), torch.from_numpy(_TARGET), up).numpy()
 
 
 def camera_position() -> Float[ndarray, " 3"]:
-    """Where the camera stands, m."""
+    """The camera's position in the room, m."""
     return _EYE.copy()

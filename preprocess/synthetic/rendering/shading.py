@@ -1,8 +1,6 @@
-"""Colour of every visible sample.
+"""Shading of surface samples: textures, bump mapping, shadowed key light, fill, rim and sky, scattering skin, gloss.
 
-Textures, bumps, a shadowed key light, fill, rim and sky, skin that lets red light through, gloss.
-
-Directions and positions are in the room, colours linear. Kernels are single-threaded and release the interpreter lock.
+Directions and positions are in room coordinates, colors are linear. Kernels are single-threaded and release the GIL.
 """
 
 from __future__ import annotations
@@ -18,7 +16,13 @@ from ggavatar.jit.kernels import inlined, kernel
 class Mesh(NamedTuple):
     """Posed geometry.
 
-    Points and normals [V, 3], occlusion [V, 1], faces [F, 3], texture coordinates [F, 3, 2], material number [F].
+    Attributes:
+        points: Vertices [V, 3], m.
+        normals: Unit normals [V, 3].
+        occlusion: Sky visibility [V, 1], 0 to 1.
+        faces: Triangles [F, 3].
+        uv: Texture coordinates of every corner [F, 3, 2].
+        material: Material of each face [F].
     """
 
     points: ndarray
@@ -29,10 +33,13 @@ class Mesh(NamedTuple):
     material: ndarray
 
 
-class Look(NamedTuple):
-    """Albedo textures [T, R, R, 3], heights [T, R, R] in m, and a row per material.
+class Textures(NamedTuple):
+    """Textures and materials.
 
-    Texture, roughness, gloss, scattering, mirror.
+    Attributes:
+        albedo: Linear colors [T, R, R, 3].
+        height: Heights [T, R, R], m.
+        materials: Texture, roughness, gloss, scattering and mirror of each material [M, 5].
     """
 
     albedo: ndarray
@@ -41,9 +48,14 @@ class Look(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Unit directions [L, 3] towards the lights and their colours [L.
+    """Lights and camera.
 
-    3] (the first one casts shadows), sky and ground colours, camera position.
+    Attributes:
+        directions: Unit directions towards the lights [L, 3]; the first is the key light, which casts shadows.
+        colors: Their linear colors [L, 3].
+        sky: Linear color of light from above [3].
+        ground: Linear color of light from below [3].
+        camera: Position of the camera [3], m.
     """
 
     directions: ndarray
@@ -54,7 +66,12 @@ class Lights(NamedTuple):
 
 
 class Shadow(NamedTuple):
-    """Depth seen from the first light [S, S], and the affine map [3, 4] from the room to its column, row and depth."""
+    """Shadow map of the key light.
+
+    Attributes:
+        depth: Depth along the light [S, S], m.
+        room_to_map: Affine map from the room to column, row and depth [3, 4].
+    """
 
     depth: ndarray
     room_to_map: ndarray
@@ -66,7 +83,7 @@ _SOFTBOX = (0.34, 0.24)
 
 @inlined
 def _bilinear(values, x, y):
-    """A scalar texture at a continuous texel position, clamped at the border."""
+    """Bilinear sample of a scalar texture, clamped at the border."""
     size = values.shape[0]
     x, y = min(max(x, 0.0), size - 1.001), min(max(y, 0.0), size - 1.001)
     column, row = int(x), int(y)
@@ -78,7 +95,7 @@ def _bilinear(values, x, y):
 
 @inlined
 def shadowed(shadow, x, y, z):
-    """Share of the key light that arrives, from 0 to 1: a soft comparison over 4 × 4 texels."""
+    """Fraction of the key light that arrives, from 0 to 1, filtered over 4 × 4 texels of the shadow map."""
     m = shadow.room_to_map
     column = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
     row = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
@@ -99,7 +116,7 @@ def shadowed(shadow, x, y, z):
 
 @inlined
 def _gloss(ndoth, ndotv, ndotl, vdoth, roughness):
-    """Trowbridge–Reitz highlight with Schlick's Fresnel term for skin (normal reflectance 0.035), times the cosine."""
+    """Trowbridge–Reitz (GGX) highlight times the cosine, with Schlick's Fresnel term for skin (reflectance 0.035)."""
     a2 = roughness**4
     d = a2 / (np.pi * (ndoth * ndoth * (a2 - 1) + 1) ** 2)
     k = (roughness + 1) ** 2 / 8
@@ -109,8 +126,8 @@ def _gloss(ndoth, ndotv, ndotl, vdoth, roughness):
 
 
 @inlined
-def _bumped(mesh, look, face, texture, u, v, normal):
-    """Normal after the height texture's slope, by the surface gradient of Mikkelsen (2010); returns x, y, z."""
+def _bumped(mesh, textures, face, texture, u, v, normal):
+    """Normal perturbed by the height texture (surface gradient of Mikkelsen 2010); returns x, y, z."""
     a, b, c = mesh.faces[face, 0], mesh.faces[face, 1], mesh.faces[face, 2]
     du1, dv1 = mesh.uv[face, 1, 0] - mesh.uv[face, 0, 0], mesh.uv[face, 1, 1] - mesh.uv[face, 0, 1]
     du2, dv2 = mesh.uv[face, 2, 0] - mesh.uv[face, 0, 0], mesh.uv[face, 2, 1] - mesh.uv[face, 0, 1]
@@ -128,7 +145,7 @@ def _bumped(mesh, look, face, texture, u, v, normal):
     det = ux * r1x + uy * r1y + uz * r1z
     if abs(det) < 1e-9:
         return nx, ny, nz
-    height = look.height[texture]
+    height = textures.height[texture]
     size = height.shape[0]
     x, y = u * size - 0.5, v * size - 0.5
     hu = (_bilinear(height, x + 0.75, y) - _bilinear(height, x - 0.75, y)) * size / 1.5
@@ -141,7 +158,7 @@ def _bumped(mesh, look, face, texture, u, v, normal):
 
 @inlined
 def _softbox(lights, rx, ry, rz):
-    """A rectangular window of light around the key direction, as a mirror-like surface would show it."""
+    """Reflection of a rectangular softbox around the key direction on a mirror-like surface, 0 to 1."""
     dx, dy, dz = lights.directions[0, 0], lights.directions[0, 1], lights.directions[0, 2]
     along = rx * dx + ry * dy + rz * dz
     if along <= 0:
@@ -155,7 +172,7 @@ def _softbox(lights, rx, ry, rz):
 
 
 @kernel
-def shade(face, weights, mesh, look, lights, shadow, color):
+def shade(face, weights, mesh, textures, lights, shadow, color):
     """Fill `color` [H, W, 3] where `face` [H, W] is not −1; `weights` [H, W, 2] are barycentric."""
     out = np.zeros(4)
     for row in range(face.shape[0]):
@@ -163,21 +180,21 @@ def shade(face, weights, mesh, look, lights, shadow, color):
             index = face[row, column]
             if index < 0:
                 continue
-            _shade_sample(index, weights[row, column, 0], weights[row, column, 1], mesh, look, lights, shadow, out)
+            _shade_sample(index, weights[row, column, 0], weights[row, column, 1], mesh, textures, lights, shadow, out)
             color[row, column, 0], color[row, column, 1], color[row, column, 2] = out[0], out[1], out[2]
 
 
 @inlined
 def _mixed(values, mesh, index, second, third, axis):
-    """A vertex attribute [V, K] at barycentric weights."""
+    """Component `axis` of a vertex attribute [V, K], interpolated with barycentric weights."""
     first = 1.0 - second - third
     a, b, c = mesh.faces[index, 0], mesh.faces[index, 1], mesh.faces[index, 2]
     return first * values[a, axis] + second * values[b, axis] + third * values[c, axis]
 
 
 @inlined
-def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
-    """Colour of one sample into `out`."""
+def _shade_sample(index, second, third, mesh, textures, lights, shadow, out):
+    """Write the color of one sample to `out`."""
     px, py, pz = (
         _mixed(mesh.points, mesh, index, second, third, 0),
         _mixed(mesh.points, mesh, index, second, third, 1),
@@ -196,25 +213,25 @@ def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
     first = 1.0 - second - third
     u = first * mesh.uv[index, 0, 0] + second * mesh.uv[index, 1, 0] + third * mesh.uv[index, 2, 0]
     v = first * mesh.uv[index, 0, 1] + second * mesh.uv[index, 1, 1] + third * mesh.uv[index, 2, 1]
-    material = look.materials[mesh.material[index]]
+    material = textures.materials[mesh.material[index]]
     texture = int(material[0])
     mirror = material[4]
     if mirror < 0.5:
-        nx, ny, nz = _bumped(mesh, look, index, texture, u, v, (nx, ny, nz))
+        nx, ny, nz = _bumped(mesh, textures, index, texture, u, v, (nx, ny, nz))
     facing = nx * vx + ny * vy + nz * vz
     if facing < 0:
         nx, ny, nz, facing = nx - 1.02 * facing * vx, ny - 1.02 * facing * vy, nz - 1.02 * facing * vz, 0.02
     occlusion = _mixed(mesh.occlusion, mesh, index, second, third, 0)
     lit = shadowed(shadow, px + 0.002 * nx, py + 0.002 * ny, pz + 0.002 * nz)
-    # Teeth and tongue pass so much light on that shadows among them stay soft.
+    # Teeth and tongue scatter so much light that shadows between them stay soft.
     lit += (1 - lit) * max(material[3] - 1.0, 0.0) * 0.6
     _collect(material, lights, (nx, ny, nz), (vx, vy, vz), lit, occlusion, out)
     highlight = out[3]
-    size = look.albedo.shape[1]
+    size = textures.albedo.shape[1]
     x, y = u * size - 0.5, v * size - 0.5
     for channel in range(3):
         out[channel] = (
-            out[channel] * _bilinear(look.albedo[texture, :, :, channel], x, y)
+            out[channel] * _bilinear(textures.albedo[texture, :, :, channel], x, y)
             + highlight * lights.colors[0, channel] * 0.5
         )
     if mirror > 0:
@@ -232,13 +249,13 @@ def _shade_sample(index, second, third, mesh, look, lights, shadow, out):
 
 @inlined
 def _collect(material, lights, normal, view, lit, occlusion, out):
-    """Incoming diffuse light per channel into out[0:3] and the highlight into out[3]."""
+    """Write the incoming diffuse light per channel to `out[0:3]` and the highlight to `out[3]`."""
     nx, ny, nz = normal
     vx, vy, vz = view
     roughness, gloss, scatter = material[1], material[2], material[3]
     facing = max(nx * vx + ny * vy + nz * vz, 0.02)
     up = 0.5 + 0.5 * ny
-    # Light that leaks through skin makes creases warmer than other dents.
+    # Light scattered through the skin makes creases redder.
     for channel in range(3):
         leak = occlusion ** (1.0 - scatter * (0.55, 0.15, 0.05)[channel])
         out[channel] = (lights.ground[channel] * (1 - up) + lights.sky[channel] * up) * leak

@@ -1,4 +1,4 @@
-"""Strands as thin camera-facing lines with coverage, sorted by depth, over an image with a z-buffer."""
+"""Rasterization of strands as thin camera-facing lines with coverage, sorted by depth, over an image with z-buffer."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Strands:
     """S strands of N nodes.
 
     Attributes:
-        pixels: Position in samples and camera z, m.
-        colors: Linear colour of every node.
-        widths: Width in samples; lines thinner than a sample cover it in part.
+        pixels: Position of every node in samples, and camera z, m.
+        colors: Linear color of every node.
+        widths: Width at every node in samples; lines thinner than a sample cover it partially.
     """
 
     pixels: Float[ndarray, "S N 3"]
@@ -30,7 +30,7 @@ class Strands:
     widths: Float[ndarray, "S N"]
 
     def segments(self) -> Float[ndarray, "M 13"]:
-        """One row a segment: start, end, colour at the start, colour at the end, mean width."""
+        """One row per segment: start, end, color at the start, color at the end, mean width."""
         parts = (
             self.pixels[:, :-1],
             self.pixels[:, 1:],
@@ -41,42 +41,42 @@ class Strands:
         return np.concatenate(parts, axis=2, dtype=np.float32).reshape(-1, 13)
 
 
-def draw_strands(
+def rasterize_strands(
     strands: Sequence[Strands],
     depth: Float[ndarray, "H W"],
     color: Float[ndarray, "H W 3"],
     alpha: Float[ndarray, "H W"],
 ) -> None:
-    """Draw strands over `color` (premultiplied) and `alpha`, in place.
+    """Composite strands over `color` (premultiplied) and `alpha`, in place.
 
     Args:
-        strands: In any order; all are sorted together.
-        depth: Camera z of the surfaces, m; strands more than 1.5 mm behind are hidden.
-        color: Image so far.
-        alpha: Coverage so far.
+        strands: Strands in any order; all are sorted together.
+        depth: Camera z of the surfaces, m; strands more than 1.5 mm behind them are hidden.
+        color: The image.
+        alpha: Its coverage.
     """
     segments = np.concatenate([item.segments() for item in strands])
     nearest_first = np.argsort(segments[:, 2] + segments[:, 5], kind="stable")
-    layer, open_ = np.zeros_like(color), np.ones_like(alpha)
-    _draw(segments, nearest_first, depth, layer, open_)
-    color *= open_[..., None]
+    layer, transmittance = np.zeros_like(color), np.ones_like(alpha)
+    _draw(segments, nearest_first, depth, layer, transmittance)
+    color *= transmittance[..., None]
     color += layer
-    alpha *= open_
-    alpha += 1 - open_
+    alpha *= transmittance
+    alpha += 1 - transmittance
 
 
 @kernel
-def _draw(segments, order, depth, layer, open_):
-    """Front to back, so that segments behind others that already cover everything cost nothing."""
+def _draw(segments, order, depth, layer, transmittance):
+    """Draw segments front to back, so that segments behind opaque ones are skipped."""
     for index in order:
         segment = segments[index]
-        if min(segment[2], segment[5]) > _NEAR and not _covered(segment, depth, open_):
-            _draw_segment(segment, depth, layer, open_)
+        if min(segment[2], segment[5]) > _NEAR and not _covered(segment, depth, transmittance):
+            _draw_segment(segment, depth, layer, transmittance)
 
 
 @inlined
-def _covered(segment, depth, open_):
-    """Whether both ends and the middle lie outside the image, behind a surface or behind opaque hair."""
+def _covered(segment, depth, transmittance):
+    """Whether both ends and the middle of a segment are outside the image, behind a surface or behind opaque hair."""
     height, width = depth.shape
     for step in range(3):
         share = _HALF * np.float32(step)
@@ -85,14 +85,14 @@ def _covered(segment, depth, open_):
         if row < 0 or column < 0 or row >= height or column >= width:
             continue
         distance = segment[2] + share * (segment[5] - segment[2])
-        if open_[row, column] > _OPAQUE and distance < depth[row, column] + _BEHIND:
+        if transmittance[row, column] > _OPAQUE and distance < depth[row, column] + _BEHIND:
             return False
     return True
 
 
 @inlined
-def _draw_segment(segment, depth, layer, open_):
-    """A window of samples across the segment's longer side, step by step along it."""
+def _draw_segment(segment, depth, layer, transmittance):
+    """Draw one segment: walk along its longer side and cover a window of samples across it."""
     height, width = depth.shape
     ax, ay, az = segment[0], segment[1], segment[2]
     dx, dy, dz = segment[3] - ax, segment[4] - ay, segment[5] - az
@@ -118,8 +118,8 @@ def _draw_segment(segment, depth, layer, open_):
             cover = min(reach - abs(px * dy - py * dx) * per_length, _ONE) * share
             if cover <= 0 or along < 0 or along >= 1 or az + along * dz > depth[row, column] + _BEHIND:
                 continue
-            weight = cover * open_[row, column]
-            open_[row, column] -= weight
+            weight = cover * transmittance[row, column]
+            transmittance[row, column] -= weight
             for channel in range(3):
                 tone = segment[6 + channel] + (segment[9 + channel] - segment[6 + channel]) * along
                 layer[row, column, channel] += tone * weight

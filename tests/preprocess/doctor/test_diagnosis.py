@@ -1,4 +1,4 @@
-"""The doctor on the embedded subject.
+"""The doctor on the generated person.
 
 Healthy as delivered, and every fault put into its tracking on purpose is named.
 """
@@ -18,20 +18,20 @@ from ggavatar.head.files import load_head
 from ggavatar.io.images import image_header, write_png
 from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main as prep
-from preprocess.doctor.convention_test import rather_late
+from preprocess.doctor.convention_test import explained_by_frame_offset
 from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
 from preprocess.doctor.diagnosis import examine
-from preprocess.doctor.letterbox import black_bars, cut_off
-from preprocess.synthetic.demo import Settings, write_demo
+from preprocess.doctor.letterbox import black_bars, crop_flags
+from preprocess.synthetic.demo import DemoSettings, write_demo
 
 SIZE, FRAMES = 128, 56
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A capture of the embedded subject."""
+    """A capture of the generated person."""
     place = tmp_path_factory.mktemp("subject")
-    for _ in write_demo(place / "demo", Settings(identity=1, frames=FRAMES, size=SIZE)):
+    for _ in write_demo(place / "demo", DemoSettings(identity=1, frames=FRAMES, size=SIZE)):
         pass
     demo = place / "demo"
     inputs = [
@@ -106,10 +106,10 @@ def test_a_late_head_is_not_taken_for_a_turned_one(capture, head):
     """Silhouettes alone took subject 4, two frames late, for transposed (IoU 0.83 against 0.81)."""
     transposed = FIXES["transposed"]
     late = dataclasses.replace(capture, tracking=capture.tracking.rows(np.clip(np.arange(FRAMES) + 2, 0, FRAMES - 1)))
-    assert rather_late(late, head, transposed)
+    assert explained_by_frame_offset(late, head, transposed)
     wrong = transposed.correct(capture.tracking, capture.width, capture.height)
-    assert not rather_late(dataclasses.replace(capture, tracking=wrong), head, transposed)
-    assert not rather_late(late, head, FIXES["centre"]), "says nothing about lenses"
+    assert not explained_by_frame_offset(dataclasses.replace(capture, tracking=wrong), head, transposed)
+    assert not explained_by_frame_offset(late, head, FIXES["centre"]), "says nothing about lenses"
 
 
 @pytest.mark.parametrize("factor", sorted_by_need([2.0, 0.5, 450 / 512], {2.0}))
@@ -121,16 +121,16 @@ def test_unscaled_principal_point_is_named(capture, head, factor):
 
 
 def test_swapped_size_of_an_oblong_capture_is_named(capture, head, tmp_path):
-    """The upper three quarters of every picture, with intrinsics scaled as if height were width."""
+    """The upper three quarters of every image, with intrinsics scaled as if height were width."""
     height = 3 * SIZE // 4
     upper = dataclasses.replace(capture, folder=tmp_path / "upper", height=height, source={})
-    pictures = ((capture.image(number)[:height], capture.mask(number)[:height]) for number in capture.frames)
+    images = ((capture.image(number)[:height], capture.mask(number)[:height]) for number in capture.frames)
     intrinsics = capture.tracking.intrinsics.copy()
     intrinsics[:, 0] *= height / SIZE
     intrinsics[:, 1] *= SIZE / height
     wrong = dataclasses.replace(upper, tracking=dataclasses.replace(capture.tracking, intrinsics=intrinsics))
     with np.load(capture.head_path) as arrays:
-        wrong.write(pictures, {name: arrays[name] for name in arrays.files})
+        wrong.write(images, {name: arrays[name] for name in arrays.files})
     found = [finding for finding in examine(wrong, head).findings if finding.severity == "fault"]
     assert found and found[0].code == "swapped-size"
 
@@ -162,12 +162,12 @@ def test_black_bars_that_count_as_person_are_named(folder, tmp_path, side):
     assert bars._asdict() == {name: thick * (name == side) for name in bars._fields}
     corner = {"left": (9, 4), "top": (4, 9), "right": (0, 4), "bottom": (4, 0)}[side]
     rest = SIZE - thick
-    assert cut_off(capture, bars) == f"--resume --crop {corner[0]},{corner[1]},{rest},{rest}"
+    assert crop_flags(capture, bars) == f"--resume --crop {corner[0]},{corner[1]},{rest},{rest}"
 
 
 def test_our_own_tracking_is_in_our_own_convention(capture, head, monkeypatch):
     """What a head that hardly moves seems to tell of conventions counts for imported tracking only."""
-    monkeypatch.setattr("preprocess.doctor.diagnosis.rivals", lambda *_: FIXES["centre"])
+    monkeypatch.setattr("preprocess.doctor.diagnosis.photometric_alternative", lambda *_: FIXES["centre"])
     assert [finding.code for finding in faults(capture, head)] == ["centre"]
     ours = dataclasses.replace(capture, source={**capture.source, "tracking": {"tracker": "built-in"}})
     assert not faults(ours, head)

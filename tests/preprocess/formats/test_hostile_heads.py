@@ -77,8 +77,8 @@ def folder(tmp_path: Path) -> Path:
     numbers = tuple(range(4))
     splits = {"every-20th": Split((1, 2, 3), (0,))}
     capture = Capture(tmp_path / "capture", "ball", 64, 64, 25.0, numbers, splits, as_tracking(record), head.version)
-    picture = np.zeros((64, 64, 3), np.uint8)
-    capture.write(((picture, picture[..., 0]) for _ in numbers), stored)
+    image = np.zeros((64, 64, 3), np.uint8)
+    capture.write(((image, image[..., 0]) for _ in numbers), stored)
     return tmp_path / "capture"
 
 

@@ -38,13 +38,13 @@ def test_npz(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_pictures(tmp_path, suffix):
+def test_images(tmp_path, suffix):
     path = tmp_path / f"mutant{suffix}"
-    picture = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
-    write_png(path, picture) if suffix == ".png" else write_jpeg(path, picture)
+    image = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+    write_png(path, image) if suffix == ".png" else write_jpeg(path, image)
     for read in (read_rgb, read_gray):
         assert survive(path, path.read_bytes(), lambda read=read: read(path), 3) > 0
-        write_png(path, picture) if suffix == ".png" else write_jpeg(path, picture)
+        write_png(path, image) if suffix == ".png" else write_jpeg(path, image)
 
 
 def test_json(tmp_path):
@@ -107,7 +107,7 @@ def test_archive_with_millions_of_entries(tmp_path):
         read_npz(path)
 
 
-def test_pixel_bomb_in_a_folder_of_pictures(tmp_path):
+def test_pixel_bomb_in_a_folder_of_images(tmp_path):
     write_png(tmp_path / "00000.png", np.zeros((4, 4), np.uint8))
     data = bytearray((tmp_path / "00000.png").read_bytes())
     data[16:24] = (60_000).to_bytes(4, "big") * 2

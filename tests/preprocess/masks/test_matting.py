@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import AHEAD, cores
-from preprocess.masks.cleanup import only_person, to_mask
+from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
 from preprocess.masks.matting import SelfieMatting, open_matting
 
 
@@ -31,9 +31,9 @@ class Known:
 
 def disc(x, size=64):
     rows, columns = np.mgrid[:size, :size]
-    picture = np.zeros((size, size, 3), np.uint8)
-    picture[(rows - 32) ** 2 + (columns - x) ** 2 < 18**2] = 255
-    return picture
+    image = np.zeros((size, size, 3), np.uint8)
+    image[(rows - 32) ** 2 + (columns - x) ** 2 < 18**2] = 255
+    return image
 
 
 def overlap(mask, truth):
@@ -41,12 +41,12 @@ def overlap(mask, truth):
 
 
 def test_order_size_and_mirroring():
-    pictures = [disc(20 + 3 * step) for step in range(7)]
-    masks = list(SelfieMatting(Known()).masks(pictures))
+    images = [disc(20 + 3 * step) for step in range(7)]
+    masks = list(SelfieMatting(Known()).masks(images))
     assert len(masks) == 7
-    for picture, mask in zip(pictures, masks, strict=True):
+    for image, mask in zip(images, masks, strict=True):
         assert mask.shape == (64, 64) and mask.dtype == np.uint8
-        assert overlap(mask, picture[..., 0] > 127) > 0.95
+        assert overlap(mask, image[..., 0] > 127) > 0.95
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -54,25 +54,25 @@ def test_short_clips(count):
     assert len(list(SelfieMatting(Known()).masks(disc(30) for _ in range(count)))) == count
 
 
-def test_still_pictures_get_steadier():
-    pictures = [disc(32)] * 12
-    raw = [to_mask(Known(0.2, calls).coverage(disc(32)), 64, 64) for calls in range(12)]
-    steady = list(SelfieMatting(Known(0.2)).masks(pictures))
+def test_still_images_get_steadier():
+    images = [disc(32)] * 12
+    raw = [coverage_to_mask(Known(0.2, calls).coverage(disc(32)), 64, 64) for calls in range(12)]
+    steady = list(SelfieMatting(Known(0.2)).masks(images))
     inside = np.s_[24:40, 24:40]
     flicker = [np.abs(np.diff(np.array(masks, float)[:, *inside], axis=0)).mean() for masks in (raw, steady)]
     assert flicker[1] < 0.7 * flicker[0]
 
 
-def test_only_a_few_pictures_are_held():
+def test_only_a_few_images_are_held():
     """One ahead, and what threads work on."""
     held = []
 
-    def pictures():
+    def images():
         for step in range(1000):
             held.append(step)
             yield disc(30)
 
-    masks = SelfieMatting(Known()).masks(pictures())
+    masks = SelfieMatting(Known()).masks(images())
     next(masks)
     assert 2 <= len(held) <= 1 + cores() + AHEAD
 
@@ -87,10 +87,10 @@ def test_only_the_largest_part_stays():
     mask[generator.integers(0, 15, 20), generator.integers(95, 119, 20)] = 255
     labels, _ = ndimage.label(mask > 16, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
-    found = only_person(mask)
+    found = keep_largest_component(mask)
     expected = labels == 1 + np.argmax(sizes)
     assert np.array_equal(found > 16, expected | (np.indices(mask.shape) == 50).all(axis=0))
-    assert not only_person(np.zeros((9, 9), np.uint8)).any()
+    assert not keep_largest_component(np.zeros((9, 9), np.uint8)).any()
 
 
 def test_unknown_masks():

@@ -1,4 +1,4 @@
-"""The whole road from a video with another tracker's output to a capture, on a made-up subject whose truth is known."""
+"""From a video with another tracker's output to a capture, on a synthetic subject with known ground truth."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
         calls = 0
         write = module.write_png
 
-        def stopping(path, picture, write=write):
+        def stopping(path, image, write=write):
             nonlocal calls
             calls += 1
             if calls == 7:
                 raise KeyboardInterrupt
-            write(path, picture)
+            write(path, image)
 
         with monkeypatch.context() as patch:
             patch.setattr(module, "write_png", stopping)
@@ -103,7 +103,7 @@ def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
     assert pipeline.STAGES[0].name == "frames"
 
 
-def test_a_finished_capture_that_lost_a_picture_is_not_called_finished(clip, tmp_path, capsys):
+def test_a_finished_capture_that_lost_an_image_is_not_called_finished(clip, tmp_path, capsys):
     folder = tmp_path / "c"
     assert run(clip, folder) == 0
     (folder / "masks" / "000007.png").unlink()
@@ -195,13 +195,13 @@ def test_selection_keeps_source_numbers(clip, tmp_path):
 
 
 def test_numbers_from_one(clip, tmp_path, capsys):
-    """FlashAvatar's pairing: pictures and masks counted from 1, `.frame` files from 0."""
-    pictures, masks = tmp_path / "pictures", tmp_path / "masks"
+    """FlashAvatar's pairing: images and masks counted from 1, `.frame` files from 0."""
+    images, masks = tmp_path / "images", tmp_path / "masks"
     for row in range(24):
         image, mask = draw(clip.head, clip.record, row)
-        write_png(pictures / f"{row + 1:05d}.png", image)
+        write_png(images / f"{row + 1:05d}.png", image)
         write_png(masks / f"{row + 1:05d}.png", mask)
-    assert run(clip, tmp_path / "c", video=pictures, masks=masks) == 0
+    assert run(clip, tmp_path / "c", video=images, masks=masks) == 0
     capture = Capture.open(tmp_path / "c")
     assert capture.frames == tuple(range(1, 25)) and capture.source["tracking"]["offset"] == 1
     np.testing.assert_allclose(capture.tracking.expression, clip.record.expression, atol=1e-6)

@@ -1,4 +1,4 @@
-"""The embedded subject: motion, `.frame` invariants, determinism, and its picture against its own projected mesh."""
+"""The generated person: performance, `.frame` invariants, determinism, and its image against its own projected mesh."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from ggavatar.geometry.transforms import rotation_6d_to_matrix
 from ggavatar.head.files import load_head
 from ggavatar.head.procedural.model import procedural_names
 from preprocess.cli import demo as cli
-from preprocess.synthetic.animation.motion import GESTURES, VISEMES, Motion, perform
-from preprocess.synthetic.demo import Settings, true_tracking, write_demo
-from preprocess.synthetic.output_folder import claim
+from preprocess.formats.importers.metrical_tracker import frame_dictionary
+from preprocess.synthetic.animation.motion import GESTURES, VISEMES, Performance, perform
+from preprocess.synthetic.demo import DemoSettings, true_record, write_demo
+from preprocess.synthetic.output_folder import prepare_demo_folder
 from preprocess.synthetic.rendering import room
 from preprocess.synthetic.rendering.mesh import project, rasterize
-from preprocess.synthetic.tracker_files import disturbed, frame_record
+from preprocess.synthetic.tracker_files import add_tracker_errors
 
 NAMES = procedural_names()[0]
-SETTINGS = Settings(identity=1, frames=3, size=64, noise=0.0, background="plain", seed=4)
+SETTINGS = DemoSettings(identity=1, frames=3, size=64, noise=0.0, background="plain", seed=4)
 
 
 @pytest.fixture(scope="module")
@@ -52,27 +53,27 @@ def read_frame(path: Path) -> dict:
 
 
 @pytest.fixture(scope="module")
-def motion() -> Motion:
+def performance() -> Performance:
     return perform(NAMES, 600, 1)
 
 
-def test_motion_covers_what_it_promises(motion):
-    yaw = Rotation.from_matrix(motion.head_to_room[:, :3, :3]).as_euler("YXZ")[:, 0]
+def test_motion_covers_what_it_promises(performance):
+    yaw = Rotation.from_matrix(performance.head_to_room[:, :3, :3]).as_euler("YXZ")[:, 0]
     assert np.isclose(np.rad2deg(yaw).max(), 35, atol=0.5) and np.isclose(np.rad2deg(yaw).min(), -35, atol=0.5)
-    assert motion.eyelids.max() == 1.0 and (motion.eyelids[:, 0] < 0.3).mean() > 0.6
-    assert motion.jaw[:, 0].max() > 0.2 and motion.jaw[:, 0].min() >= 0
-    smile = motion.expression[:, NAMES.index("smile_left")]
+    assert performance.eyelids.max() == 1.0 and (performance.eyelids[:, 0] < 0.3).mean() > 0.6
+    assert performance.jaw[:, 0].max() > 0.2 and performance.jaw[:, 0].min() >= 0
+    smile = performance.expression[:, NAMES.index("smile_left")]
     assert smile.max() > 0.9
-    never = [name for name, most in zip(NAMES, motion.expression.max(axis=0), strict=True) if most < 0.1]
+    never = [name for name, most in zip(NAMES, performance.expression.max(axis=0), strict=True) if most < 0.1]
     assert never == [], "an expression that never shows cannot be learnt"
 
 
-def test_motion_is_smooth_and_rigid(motion):
-    rotations = motion.head_to_room[:, :3, :3]
+def test_motion_is_smooth_and_rigid(performance):
+    rotations = performance.head_to_room[:, :3, :3]
     assert np.allclose(rotations @ rotations.transpose(0, 2, 1), np.eye(3), atol=1e-9)
     step = Rotation.from_matrix(rotations[1:] @ rotations[:-1].transpose(0, 2, 1)).magnitude()
     assert np.rad2deg(step.max()) < 8
-    assert np.abs(np.diff(motion.expression, axis=0)).max() < 0.9
+    assert np.abs(np.diff(performance.expression, axis=0)).max() < 0.9
 
 
 def test_every_name_in_the_tables_is_an_expression():
@@ -80,11 +81,11 @@ def test_every_name_in_the_tables_is_an_expression():
     assert used <= set(NAMES)
 
 
-def test_the_same_seed_gives_the_same_performance(motion):
+def test_the_same_seed_gives_the_same_performance(performance):
     again = perform(NAMES, 600, 1)
-    assert np.array_equal(motion.expression, again.expression)
-    assert np.array_equal(motion.head_to_room, again.head_to_room)
-    assert not np.array_equal(motion.expression, perform(NAMES, 600, 2).expression)
+    assert np.array_equal(performance.expression, again.expression)
+    assert np.array_equal(performance.head_to_room, again.head_to_room)
+    assert not np.array_equal(performance.expression, perform(NAMES, 600, 2).expression)
 
 
 def test_frame_layout_and_invariants(demo):
@@ -107,25 +108,25 @@ def test_frame_layout_and_invariants(demo):
         assert np.allclose(np.linalg.norm(frame["flame"]["eyes"].reshape(2, 2, 3), axis=2), 1, atol=1e-5)
 
 
-def test_eyes_are_in_joint_order(motion):
-    record = frame_record(true_tracking(motion, 64, np.zeros(22)), 10, (64, 64))
+def test_eyes_are_in_joint_order(performance):
+    record = frame_dictionary(true_record(performance, 64, np.zeros(22)), 10)
     halves = torch.from_numpy(record["flame"]["eyes"].reshape(2, 6))
-    expected = Rotation.from_rotvec(motion.eyes[10]).as_matrix()
+    expected = Rotation.from_rotvec(performance.eyes[10]).as_matrix()
     assert np.allclose(rotation_6d_to_matrix(halves).numpy(), expected, atol=1e-6)
 
 
-def test_noise_disturbs_but_little_and_zero_is_exact(motion):
-    truth = true_tracking(motion, 512, np.zeros(22))
-    assert disturbed(truth, 0.0, 3) is truth
-    noisy = disturbed(truth, 1.0, 3)
+def test_tracker_errors_are_small_and_level_zero_is_exact(performance):
+    truth = true_record(performance, 512, np.zeros(22))
+    assert add_tracker_errors(truth, 0.0, 3) is truth
+    noisy = add_tracker_errors(truth, 1.0, 3)
     turn = noisy.world_to_camera[:, :3, :3] @ truth.world_to_camera[:, :3, :3].transpose(0, 2, 1)
     angle = np.rad2deg(Rotation.from_matrix(turn).magnitude())
     assert 0.05 < np.median(angle) < 1.5
     assert 0 < np.abs(noisy.expression - truth.expression).mean() < 0.1
-    assert noisy.intrinsics[0, 0] != truth.intrinsics[0, 0]
+    assert noisy.intrinsics[0, 0, 0] != truth.intrinsics[0, 0, 0]
     point = np.array([[0.0, 0.0, 0.05]])
     errors = [
-        np.linalg.norm(project(point, noisy.intrinsics, b)[0, :2] - project(point, truth.intrinsics, a)[0, :2])
+        np.linalg.norm(project(point, noisy.intrinsics[0], b)[0, :2] - project(point, truth.intrinsics[0], a)[0, :2])
         for a, b in zip(truth.world_to_camera, noisy.world_to_camera, strict=True)
     ]
     assert 0.1 < np.median(errors) < 6
@@ -186,11 +187,11 @@ def test_a_folder_with_files_is_refused_and_only_own_files_are_replaced(tmp_path
     (folder / "masks" / "00009.png").write_bytes(b"mine")
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="--overwrite"):
-        claim(folder, overwrite=False)
+        prepare_demo_folder(folder, overwrite=False)
     (folder / "demo.json").write_text('{"files": ["masks/00000.png", "../outside.txt"]}')
     (folder / "masks" / "00000.png").write_bytes(b"demo")
     (tmp_path / "outside.txt").write_text("mine")
-    claim(folder, overwrite=True)
+    prepare_demo_folder(folder, overwrite=True)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*"))
     assert left == ["outside.txt", "used/demo.json", "used/masks/00009.png", "used/notes.txt"]
 

@@ -1,4 +1,4 @@
-"""Crops. Reference: points projected before and after, and pictures of gradients whose value tells the place."""
+"""Crops. Reference: points projected before and after, and images of gradients whose value tells the place."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
-from preprocess.video.crop import Crop, crop_from_json, explicit, square, square_around, whole_frame
+from preprocess.video.crop import Crop, crop_from_json, explicit_crop, square_crop, square_crop_around, whole_frame
 
 
-def place_picture(width, height):
+def place_image(width, height):
     """Red tells x − 0.5, green y − 0.5, in half px."""
     rows, columns = np.mgrid[:height, :width]
     return np.stack((2 * columns, 2 * rows, 0 * rows), axis=-1).astype(np.uint8)
@@ -30,10 +30,10 @@ crops = st.builds(
 def test_intrinsics_follow_the_pixels(crop):
     """What a pixel of the capture shows lies where the new intrinsics say."""
     source = np.array([[120.0, 0, 64], [0, 130, 48], [0, 0, 1]])
-    picture = crop.image(place_picture(128, 96))
-    assert picture.shape == (crop.out_height, crop.out_width, 3)
+    image = crop.image(place_image(128, 96))
+    assert image.shape == (crop.out_height, crop.out_width, 3)
     inner = np.s_[4:-4, 4:-4]
-    shown = picture[inner] / 2 + 0.5
+    shown = image[inner] / 2 + 0.5
     rows, columns = (axis[inner] + 0.5 for axis in np.mgrid[: crop.out_height, : crop.out_width])
     changed = crop.intrinsics(source)
     rays = np.stack(((columns - changed[0, 2]) / changed[0, 0], (rows - changed[1, 2]) / changed[1, 1]), axis=-1)
@@ -45,30 +45,30 @@ def test_intrinsics_follow_the_pixels(crop):
 
 
 def test_outside_is_black():
-    picture = Crop(-10, -10, 30, 30, 30, 30).image(np.full((40, 40, 3), 200, np.uint8))
-    assert not picture[:10].any() and not picture[:, :10].any() and (picture[10:, 10:] == 200).all()
+    image = Crop(-10, -10, 30, 30, 30, 30).image(np.full((40, 40, 3), 200, np.uint8))
+    assert not image[:10].any() and not image[:, :10].any() and (image[10:, 10:] == 200).all()
     assert Crop(-10, 0, 20, 20, 20, 20).image(np.full((40, 40), 255, np.uint8))[0, 0] == 0
 
 
 def test_uncropped_is_untouched():
-    picture = np.random.default_rng(0).integers(0, 255, (48, 48, 3), dtype=np.uint8)
-    np.testing.assert_array_equal(whole_frame(48, 48, 48).image(picture), picture)
+    image = np.random.default_rng(0).integers(0, 255, (48, 48, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(whole_frame(48, 48, 48).image(image), image)
     assert whole_frame(200, 100, 50) == Crop(0, 0, 200, 100, 50, 25)
     assert crop_from_json(whole_frame(200, 100, 50).json()) == whole_frame(200, 100, 50)
 
 
 @given(st.tuples(st.floats(-50, 250), st.floats(-50, 150)), st.floats(10, 400))
 def test_squares_stay_inside(center, side):
-    crop = square(center, side, 200, 100, 64)
+    crop = square_crop(center, side, 200, 100, 64)
     assert 0 <= crop.x <= crop.x + crop.width <= 200 and 0 <= crop.y <= crop.y + crop.height <= 100
     assert crop.width == crop.height == min(round(side), 100)
 
 
-def test_square_around_keeps_heads():
+def test_square_crop_around_keeps_heads():
     generator = np.random.default_rng(0)
     centers = generator.uniform([500, 400], [560, 440], (100, 2))
     boxes = np.concatenate((centers - 60, centers + 60), axis=1)
-    crop = square_around(boxes, 1080, 1920, 512)
+    crop = square_crop_around(boxes, 1080, 1920, 512)
     assert crop.width == crop.height and crop.x < boxes[:, 0].min() and crop.x + crop.width > boxes[:, 2].max()
     assert crop.y < boxes[:, 1].min() and crop.y + crop.height > boxes[:, 3].max() + 40
 
@@ -78,8 +78,8 @@ def test_square_around_keeps_heads():
 )
 def test_senseless_crops(text):
     with pytest.raises(InputError, match="--crop"):
-        explicit(text, 1000, 800, 512)
+        explicit_crop(text, 1000, 800, 512)
 
 
 def test_explicit_crop():
-    assert explicit("-10,20,400,200", 1000, 800, 512) == Crop(-10, 20, 400, 200, 512, 256)
+    assert explicit_crop("-10,20,400,200", 1000, 800, 512) == Crop(-10, 20, 400, 200, 512, 256)

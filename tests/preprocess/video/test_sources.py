@@ -1,4 +1,4 @@
-"""Decoding. Reference: the pictures that were encoded, whose brightness is their number, and OpenCV."""
+"""Decoding. Reference: the images that were encoded, whose brightness is their number, and OpenCV."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tests.support.synthetic_clip import write_video
 
 
 def numbered(count, width=64, height=48, step=4):
-    """Pictures whose brightness tells their number, with a bright upper left corner."""
-    pictures = []
+    """Images whose brightness tells their number, with a bright upper left corner."""
+    images = []
     for number in range(count):
-        picture = np.full((height, width, 3), 20 + step * number, np.uint8)
-        picture[: height // 4, : width // 4] = 235
-        pictures.append(picture)
-    return pictures
+        image = np.full((height, width, 3), 20 + step * number, np.uint8)
+        image[: height // 4, : width // 4] = 235
+        images.append(image)
+    return images
 
 
 def seen(source, step=4):
@@ -54,14 +54,14 @@ def test_fractional_rates(tmp_path, rate):
     np.testing.assert_allclose(times, np.arange(20) / float(rate), atol=1e-4)
 
 
-def write_irregular(path, pictures, ticks):
+def write_irregular(path, images, ticks):
     """A video with given presentation times in 1/1000 s."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=25, options={"crf": "10"})
-        stream.width, stream.height, stream.pix_fmt = pictures[0].shape[1], pictures[0].shape[0], "yuv420p"
+        stream.width, stream.height, stream.pix_fmt = images[0].shape[1], images[0].shape[0], "yuv420p"
         stream.codec_context.time_base = Fraction(1, 1000)
-        for picture, tick in zip(pictures, ticks, strict=True):
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+        for image, tick in zip(images, ticks, strict=True):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame.pts, frame.time_base = tick, Fraction(1, 1000)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
@@ -89,8 +89,8 @@ def test_audio_stream_first(tmp_path):
         stream = container.add_stream("libx264", rate=25, options={"crf": "10"})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         write_silence(container, audio)
-        for picture in numbered(10):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        for image in numbered(10):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
     with av.open(str(path)) as container:
         assert container.streams[0].type == "audio"
@@ -103,8 +103,8 @@ def test_odd_sizes(tmp_path, size):
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=25)
         stream.width, stream.height, stream.pix_fmt = *size, "bgr0"
-        for picture in numbered(5, *size):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        for image in numbered(5, *size):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
     frames = list(Video(path).frames())
     assert [(frame.width, frame.height) for frame in frames] == [size] * 5
@@ -124,7 +124,7 @@ def with_rotation(source, target, degrees):
 
 @pytest.mark.parametrize("degrees", [90, 180, 270])
 def test_rotation_metadata(tmp_path, degrees):
-    """Reference: OpenCV, which turns pictures by itself."""
+    """Reference: OpenCV, which turns images by itself."""
     import cv2
 
     write_video(tmp_path / "v.mp4", numbered(3))
@@ -162,15 +162,15 @@ def test_ten_bit_hevc(tmp_path):
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx265", rate=25, options={"crf": "8", "x265-params": "log-level=none"})
         stream.width, stream.height, stream.pix_fmt = 64, 64, "yuv420p10le"
-        for picture in numbered(6, 64, 64, 30):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        for image in numbered(6, 64, 64, 30):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
     numbers, _, decoded = seen(Video(path), 30)
     assert numbers == decoded == list(range(6))
 
 
-def test_interlaced_pictures_lose_their_combs(tmp_path):
-    """A bright bar moves between the fields of a frame; after decoding, neighbouring rows agree again."""
+def test_interlaced_images_lose_their_combs(tmp_path):
+    """A bright bar moves between the fields of a frame; after decoding, neighboring rows agree again."""
     path = tmp_path / "v.avi"
     with av.open(str(path), "w") as container:
         stream = container.add_stream("mpeg2video", rate=25, options={"flags": "+ildct+ilme", "b": "4M"})
@@ -179,10 +179,10 @@ def test_interlaced_pictures_lose_their_combs(tmp_path):
         source = graph.add_buffer(width=64, height=64, format="yuv420p", time_base=Fraction(1, 25))
         graph.link_nodes(source, graph.add("setfield", "tff"), graph.add("buffersink")).configure()
         for number in range(8):
-            picture = np.full((64, 64, 3), 40, np.uint8)
-            picture[0::2, 2 * number + 8 : 2 * number + 20] = 220
-            picture[1::2, 2 * number + 16 : 2 * number + 28] = 220
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p")
+            image = np.full((64, 64, 3), 40, np.uint8)
+            image[0::2, 2 * number + 8 : 2 * number + 20] = 220
+            image[1::2, 2 * number + 16 : 2 * number + 28] = 220
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p")
             frame.pts, frame.time_base = number, Fraction(1, 25)
             graph.push(frame)
             container.mux(stream.encode(graph.pull()))
@@ -208,7 +208,9 @@ def test_truncated_video_keeps_what_decodes_and_says_so(tmp_path):
     numbers, _, decoded = seen(video)
     assert 5 < len(numbers) < 50 and decoded[:-3] == numbers[:-3]
     assert (
-        len(video.losses()) == 1 and "probably cut off" in video.losses()[0] and str(len(numbers)) in video.losses()[0]
+        len(video.losses()) == 1
+        and "probably truncated" in video.losses()[0]
+        and str(len(numbers)) in video.losses()[0]
     )
     whole = Video(path)
     assert len(seen(whole)[0]) == 50 and whole.losses() == []
@@ -218,7 +220,7 @@ def test_truncated_mp4_without_index(tmp_path):
     write_video(tmp_path / "v.mp4", numbered(30))
     data = (tmp_path / "v.mp4").read_bytes()
     (tmp_path / "cut.mp4").write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match=r"cut\.mp4: not a video that can be decoded, or cut off"):
+    with pytest.raises(InputError, match=r"cut\.mp4: not a video that can be decoded, or truncated"):
         Video(tmp_path / "cut.mp4")
 
 
@@ -277,9 +279,9 @@ def test_senseless_selections(arguments):
         parse_selection(*arguments)
 
 
-def test_picture_folders(tmp_path):
-    for number, picture in enumerate(numbered(12), start=1):
-        write_png(tmp_path / f"{number}.png", picture)
+def test_image_folders(tmp_path):
+    for number, image in enumerate(numbered(12), start=1):
+        write_png(tmp_path / f"{number}.png", image)
     (tmp_path / "notes.txt").write_text("x")
     folder = ImageFolder(tmp_path, 10.0)
     numbers, times, decoded = seen(folder)
@@ -293,7 +295,7 @@ def test_picture_folders(tmp_path):
 def test_nothing_there(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         open_source(tmp_path / "absent.mp4")
-    with pytest.raises(InputError, match="no pictures"):
+    with pytest.raises(InputError, match="no images"):
         open_source(tmp_path)
     (tmp_path / "empty.mp4").write_bytes(b"")
     with pytest.raises(InputError, match="not a video"):

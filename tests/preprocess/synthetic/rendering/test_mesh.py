@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from ggavatar.head.procedural.model import procedural_head
-from preprocess.synthetic.animation.hair_motion import lagging_poses, swung
+from preprocess.synthetic.animation.hair_motion import lagging_poses, swing_hair
 from preprocess.synthetic.animation.motion import FPS
 from preprocess.synthetic.person.description import PEOPLE
 from preprocess.synthetic.person.subdivision import subdivide
 from preprocess.synthetic.person.texture_space import to_linear, to_srgb
 from preprocess.synthetic.person.wrinkles import BULGES, FOLDS, strength
 from preprocess.synthetic.rendering.backdrop import backdrop
-from preprocess.synthetic.rendering.lights import lamps, shadow_map, sky_share
+from preprocess.synthetic.rendering.lights import room_lights, shadow_map, sky_visibility
 from preprocess.synthetic.rendering.mesh import rasterize, vertex_normals
-from preprocess.synthetic.rendering.strands import Strands, draw_strands
+from preprocess.synthetic.rendering.strands import Strands, rasterize_strands
 
 SQUARE = np.array([(8.0, 8, 1), (24, 8, 1), (24, 24, 1), (8, 24, 1)])
 TWO = np.array([(0, 1, 2), (0, 2, 3)])
@@ -71,7 +71,7 @@ def line(nodes: np.ndarray, width: float) -> Strands:
 def test_a_line_covers_its_length_times_its_width():
     color, alpha = np.zeros((40, 40, 3), np.float32), np.zeros((40, 40), np.float32)
     nodes = np.array([[(5.5, 20.0, 1.0), (25.5, 20.0, 1.0)]])
-    draw_strands([line(nodes, 2.0)], np.full((40, 40), np.inf, np.float32), color, alpha)
+    rasterize_strands([line(nodes, 2.0)], np.full((40, 40), np.inf, np.float32), color, alpha)
     assert np.isclose(alpha.sum(), 20 * 2.0, rtol=0.05)
     assert np.allclose(color[..., 0], alpha, atol=1e-6)
 
@@ -81,7 +81,7 @@ def test_thin_lines_weigh_the_same_in_every_direction(angle):
     color, alpha = np.zeros((64, 64, 3), np.float32), np.zeros((64, 64), np.float32)
     step = 20 * np.array([np.cos(angle), np.sin(angle)])
     nodes = np.array([[(*(32.2 - step), 1.0), (*(32.2 + step), 1.0)]])
-    draw_strands([line(nodes, 0.5)], np.full((64, 64), np.inf, np.float32), color, alpha)
+    rasterize_strands([line(nodes, 0.5)], np.full((64, 64), np.inf, np.float32), color, alpha)
     assert np.isclose(alpha.sum(), 40 * 0.5, rtol=0.12)
 
 
@@ -89,7 +89,7 @@ def test_strands_hide_behind_surfaces():
     color, alpha = np.zeros((40, 40, 3), np.float32), np.zeros((40, 40), np.float32)
     depth = np.full((40, 40), 0.9, np.float32)
     nodes = np.array([[(5.5, 20.0, 1.0), (25.5, 20.0, 1.0)]])
-    draw_strands([line(nodes, 2.0)], depth, color, alpha)
+    rasterize_strands([line(nodes, 2.0)], depth, color, alpha)
     assert alpha.max() == 0
 
 
@@ -108,13 +108,13 @@ def test_roots_stay_on_the_head_while_tips_lag():
     nodes = np.linspace((0.0, 0.1, 0.0), (0.0, 0.0, 0.0), 14)[None].repeat(3, axis=0)
     shifted = np.eye(4)
     shifted[0, 3] = 0.05
-    swinging = swung(nodes, shifted, np.tile(np.eye(4), (3, 1, 1)), 1.0)
+    swinging = swing_hair(nodes, shifted, np.tile(np.eye(4), (3, 1, 1)), 1.0)
     assert np.allclose(swinging[:, 0], nodes[:, 0] + (0.05, 0, 0))
     assert np.allclose(swinging[:, -1], nodes[:, -1])
 
 
 def test_shadow_falls_behind_a_plate_and_open_sky_is_one():
-    lights = lamps()
+    lights = room_lights()
     towards = lights.directions[0].astype(np.float64)
     side = np.cross((0, 1.0, 0), towards)
     side /= np.linalg.norm(side)
@@ -124,7 +124,7 @@ def test_shadow_falls_behind_a_plate_and_open_sky_is_one():
     shadow = shadow_map(plate, TWO, lights)
     assert np.isfinite(shadow.depth).sum() > 1000
     normals = np.tile(towards, (4, 1))
-    assert np.allclose(sky_share(plate, normals, TWO), 1, atol=0.02)
+    assert np.allclose(sky_visibility(plate, normals, TWO), 1, atol=0.02)
 
 
 def test_folds_are_off_at_rest_and_grow_faster_than_linearly():
