@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 def hull_mask(points: Float[Tensor, "N 2"], height: int, width: int) -> Float[Tensor, "H W 1"]:
-    """1 where a pixel's centre lies in the convex hull of `points` (px), else 0; all 0 if they lie on a line."""
+    """1 where a pixel's center lies in the convex hull of `points` (px), else 0; all 0 if they lie on a line."""
     try:
         lines = ConvexHull(points.detach().cpu().double().numpy()).equations
     except (QhullError, ValueError):

@@ -15,7 +15,7 @@ from torch import Tensor
 from ggavatar.geometry.transforms import matrix_to_quaternion
 
 POLAR_ITERATIONS = 8
-"""Newton steps towards the nearest rotation; each squares the error."""
+"""Newton steps toward the nearest rotation; each squares the error."""
 
 
 class FaceChanges(NamedTuple):

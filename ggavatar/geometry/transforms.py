@@ -58,7 +58,7 @@ def matrix_to_quaternion(matrices: Float[Tensor, "*B 3 3"]) -> Float[Tensor, "*B
 
 
 def quaternion_to_matrix(quats: Float[Tensor, "*B 4"]) -> Float[Tensor, "*B 3 3"]:
-    """Rotation matrices of quaternions wxyz, which need not be normalised."""
+    """Rotation matrices of quaternions wxyz, which need not be normalized."""
     w, x, y, z = normalize(quats, dim=-1).unbind(-1)
     return torch.stack(
         (

@@ -31,7 +31,7 @@ def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
         faces: Vertex indices, counter-clockwise seen from outside.
 
     Returns:
-        Centres in m, rotations with determinant 1 and sizes in m. A triangle without area gets a valid rotation and
+        Centers in m, rotations with determinant 1 and sizes in m. A triangle without area gets a valid rotation and
         its edge's half length.
 
     References:
@@ -65,7 +65,7 @@ def frames_in_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
 
 
 def _unit_or(vectors: Tensor, fallback: Tensor | tuple[float, float, float]) -> Tensor:
-    """Unit vectors, with `fallback` (normalised) where the length is zero."""
+    """Unit vectors, with `fallback` (normalized) where the length is zero."""
     length = vectors.norm(dim=-1, keepdim=True)
     other = torch.as_tensor(fallback, dtype=vectors.dtype, device=vectors.device)
     return torch.where(length > 1e-20, vectors / length.clamp_min(1e-20), normalize(other, dim=-1).expand_as(vectors))

@@ -48,7 +48,7 @@ def _normal(axis, edge):
 
 @kernel
 def fill_frames(vertices, faces, centers, rotations, scales):
-    """Centres [F, 3], rotations [F, 3, 3] and sizes [F] of triangles [F, 3] of vertices [V, 3]."""
+    """Centers [F, 3], rotations [F, 3, 3] and sizes [F] of triangles [F, 3] of vertices [V, 3]."""
     third, half = np.float32(1 / 3), np.float32(0.5)
     for face in range(faces.shape[0]):
         first, second, last = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]

@@ -41,7 +41,7 @@ class SurfaceSamples(NamedTuple):
 
 
 def texel_samples(uv: Float[Tensor, "F 3 2"], side: int) -> SurfaceSamples:
-    """One sample for each of `side` × `side` texels whose centre a triangle of the layout covers, row by row.
+    """One sample for each of `side` × `side` texels whose center a triangle of the layout covers, row by row.
 
     Args:
         uv: Texture coordinates of every corner in [0, 1].
@@ -113,7 +113,7 @@ def strip_samples(
 
 
 def along_curve(points: Float[Tensor, "N 3"], bits: int = 10) -> Int[Tensor, " N"]:
-    """Order of points along a Z-shaped curve that fills their bounding cube (Morton 1966); neighbours stay close."""
+    """Order of points along a Z-shaped curve that fills their bounding cube (Morton 1966); neighbors stay close."""
     low = points.amin(0)
     cells = ((points - low) / (points.amax(0) - low).max().clamp_min(1e-12) * (2**bits - 1)).long()
     code = torch.zeros(len(points), dtype=torch.int64, device=points.device)
@@ -143,10 +143,10 @@ def ever_facing(
     for vertices, camera in zip(posed, cameras, strict=True):
         pose = camera.world_to_camera
         a, b, c = (vertices @ pose[:3, :3].T + pose[:3, 3])[faces].unbind(1)
-        towards = (torch.linalg.cross(b - a, c - a) * a).sum(-1) < 0
+        toward = (torch.linalg.cross(b - a, c - a) * a).sum(-1) < 0
         pixel = project(vertices, camera.intrinsics, pose)
         limit = pixel.new_tensor([camera.width, camera.height])
-        found |= towards & ((pixel >= 0) & (pixel < limit)).all(-1)[faces].any(-1) & (a[:, 2] > 0)
+        found |= toward & ((pixel >= 0) & (pixel < limit)).all(-1)[faces].any(-1) & (a[:, 2] > 0)
     return found
 
 

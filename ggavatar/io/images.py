@@ -103,12 +103,12 @@ def _parse_jpeg(stream: IO[bytes]) -> ImageHeader | None:
 
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "H W 3"]:
-    """A picture as 8-bit sRGB; grey is repeated, 16 bits are reduced, transparency is dropped."""
+    """A picture as 8-bit sRGB; gray is repeated, 16 bits are reduced, transparency is dropped."""
     return _decode(path, color=True)
 
 
 def read_gray(path: Path) -> UInt8[np.ndarray, "H W"]:
-    """A mask as 8-bit grey: the alpha channel where there is one, else the luminance."""
+    """A mask as 8-bit gray: the alpha channel where there is one, else the luminance."""
     import cv2
 
     header = image_header(path)
@@ -149,7 +149,7 @@ def _eight_bits(values: np.ndarray) -> np.ndarray:
 
 
 def write_png(path: Path, picture: UInt8[np.ndarray, "H W 3"] | UInt8[np.ndarray, "H W"]) -> None:
-    """Write 8-bit RGB or grey atomically, without loss."""
+    """Write 8-bit RGB or gray atomically, without loss."""
     import cv2
 
     pixels = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else np.ascontiguousarray(picture)

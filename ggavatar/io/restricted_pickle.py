@@ -91,7 +91,7 @@ class _Array:
 
 
 class _Record:
-    """An object of chumpy or scipy: its attributes, never its behaviour."""
+    """An object of chumpy or scipy: its attributes, never its behavior."""
 
     def __init__(self, *_: object) -> None:
         self.state: dict[str, Any] = {}

@@ -13,7 +13,7 @@ def flat(tensor: Tensor) -> np.ndarray:
 
 
 def padded(count: int, *columns: int) -> Tensor:
-    """An uninitialised tensor of `count` rows in memory for a multiple of sixteen."""
+    """An uninitialized tensor of `count` rows in memory for a multiple of sixteen."""
     return torch.empty(-(-count // 16) * 16, *columns)[:count]
 
 

@@ -1,4 +1,4 @@
-"""Two neighbouring floats as one 64-bit access in compiled kernels; LLVM does not find these by itself."""
+"""Two neighboring floats as one 64-bit access in compiled kernels; LLVM does not find these by itself."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A 16-lane float vector for compiled kernels: LLVM's `<16 x float>` as a Numba type.
 
-LLVM turns it into one AVX-512 register, two AVX or four NEON ones. Numba's own loops are vectorised by guesswork;
+LLVM turns it into one AVX-512 register, two AVX or four NEON ones. Numba's own loops are vectorized by guesswork;
 here it is explicit. No operation carries fast-math flags, so a formula gives the same bits wherever it is inlined.
 """
 

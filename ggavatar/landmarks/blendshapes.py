@@ -32,7 +32,7 @@ NAMES = tuple(_NAMES.split())
 
 
 class BlendshapeNetwork:
-    """Scores of ARKit's blendshapes from landmarks; the network normalises position and size itself."""
+    """Scores of ARKit's blendshapes from landmarks; the network normalizes position and size itself."""
 
     def __init__(self, bundle: Path) -> None:
         self._network = load_network(bundle, "blendshapes")

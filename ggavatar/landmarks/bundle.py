@@ -33,7 +33,7 @@ class CanonicalFace:
     """The average face whose vertices are the first 468 landmarks.
 
     Attributes:
-        vertices: Positions, m; +Y up, face towards +Z, +X the subject's left.
+        vertices: Positions, m; +Y up, face toward +Z, +X the subject's left.
     """
 
     vertices: Float[np.ndarray, "468 3"]
@@ -107,8 +107,8 @@ def _parse_geometry(content: bytes) -> CanonicalFace:
             vertices = _parse_vertices(value)
     if vertices.shape != (468, 5) or not np.isfinite(vertices).all():
         raise ValueError(f"{len(vertices)} vertices, expected 468 finite ones")
-    centimetre = 0.01
-    return CanonicalFace(vertices[:, :3] * centimetre)
+    centimeter = 0.01
+    return CanonicalFace(vertices[:, :3] * centimeter)
 
 
 def _parse_vertices(content: bytes) -> np.ndarray:

@@ -56,13 +56,13 @@ class Region:
             factors = np.array([part.shape[1] / reduced[0], part.shape[0] / reduced[1]])
             part = cv2.resize(part, reduced, interpolation=cv2.INTER_AREA)
             matrix = np.column_stack((matrix[:, :2] * factors, matrix[:, 2]))
-        # OpenCV puts pixel centres at whole numbers, so both sides are shifted by half a pixel.
+        # OpenCV puts pixel centers at whole numbers, so both sides are shifted by half a pixel.
         shift = np.array([0.5, 0.5])
         moved = np.column_stack((matrix[:, :2], matrix[:, 2] + matrix[:, :2] @ shift - shift))
         return cv2.warpAffine(part, moved, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     def _places(self, frame: np.ndarray) -> tuple[tuple[float, int], tuple[float, int]]:
-        """Centre and length of the frame along x and y."""
+        """Center and length of the frame along x and y."""
         return (self.center[0], frame.shape[1]), (self.center[1], frame.shape[0])
 
 

@@ -99,7 +99,7 @@ class FaceDetector:
 
 
 def _anchors() -> Float[np.ndarray, "896 2"]:
-    """Centres that the regressed offsets refer to, px: two on a 16 × 16 grid, then six on an 8 × 8 grid."""
+    """Centers that the regressed offsets refer to, px: two on a 16 × 16 grid, then six on an 8 × 8 grid."""
     rows = []
     for cells, repeats in ((16, 2), (8, 6)):
         y, x = np.mgrid[:cells, :cells]

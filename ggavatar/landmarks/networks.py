@@ -94,7 +94,7 @@ class SeparateNetworks:
         return SeenFace(np.concatenate((points, *irises)), np.concatenate((depth, *depths)), _probability(logit))
 
     def _iris_points(self, frame: np.ndarray, corners: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "5 2"]:
-        """Centre and rim of one iris, px of the image."""
+        """Center and rim of one iris, px of the image."""
         across, middle = corners[1] - corners[0], corners.mean(axis=0)
         side = max(1.0, EYE_MARGIN * float(np.hypot(*across)))
         region = Region((float(middle[0]), float(middle[1])), side, float(np.arctan2(*across[::-1])))

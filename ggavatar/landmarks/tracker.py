@@ -26,7 +26,7 @@ class Landmarks:
     """The landmarks of one frame.
 
     Attributes:
-        points: Image positions, px (pixel centres at +0.5).
+        points: Image positions, px (pixel centers at +0.5).
         depth: The network's guess of relative depth in px of the image, smaller is nearer; weak-perspective, so a hint
             only.
         blendshapes: Scores in [0, 1] in the order of `blendshapes.NAMES`; zeros without their network.

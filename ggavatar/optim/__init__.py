@@ -1,1 +1,1 @@
-"""What is optimised and how: row-aligned parameters, schedules, seeds, corrections of the tracking."""
+"""What is optimized and how: row-aligned parameters, schedules, seeds, corrections of the tracking."""

@@ -1,6 +1,6 @@
-"""Rows: tensors that share their first dimension, one row a Gaussian, together with the state of their optimiser.
+"""Rows: tensors that share their first dimension, one row a Gaussian, together with the state of their optimizer.
 
-Learnable columns are optimised, each with its own rate; carried columns (a face index, a statistic) merely follow.
+Learnable columns are optimized, each with its own rate; carried columns (a face index, a statistic) merely follow.
 Adding and removing rows keeps the moments of the survivors and starts the newborn at zero, as in 3D Gaussian
 Splatting's density control.
 """
@@ -28,7 +28,7 @@ class Column(NamedTuple):
 
 
 class Rows(nn.Module):
-    """Row-aligned learnable and carried columns with one optimiser for all learnable ones.
+    """Row-aligned learnable and carried columns with one optimizer for all learnable ones.
 
     The number of rows is part of the state: `load_state_dict` accepts any and resizes this object to it.
     """
@@ -39,11 +39,11 @@ class Rows(nn.Module):
         carried: Mapping[str, Tensor] | None = None,
         make_optimizer: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None,
     ) -> None:
-        """Build the columns and their optimiser.
+        """Build the columns and their optimizer.
 
         Args:
-            learnable: Columns to optimise, by name.
-            carried: Columns that follow the rows without being optimised, by name.
+            learnable: Columns to optimize, by name.
+            carried: Columns that follow the rows without being optimized, by name.
             make_optimizer: From parameter groups (`params`, `lr`, `name`); Adam with ε = 1e-15 (3DGS) by default.
         """
         super().__init__()
@@ -82,7 +82,7 @@ class Rows(nn.Module):
 
     @torch.no_grad()
     def take(self, index: Int[Tensor, " M"]) -> None:
-        """Keep the rows of `index`, in its order; their optimiser state stays theirs."""
+        """Keep the rows of `index`, in its order; their optimizer state stays theirs."""
         self._transform(lambda _, values: values[index], lambda moments: moments[index])
 
     @torch.no_grad()
@@ -111,7 +111,7 @@ class Rows(nn.Module):
             moments.zero_()
 
     def _transform(self, column: Callable[[str, Tensor], Tensor], moments: Callable[[Tensor], Tensor]) -> None:
-        """Put every column and every row-aligned tensor of the optimiser through a function."""
+        """Put every column and every row-aligned tensor of the optimizer through a function."""
         for group in self.optimizer.param_groups:
             name, old = group["name"], group["params"][0]
             new = nn.Parameter(column(name, old.detach()).contiguous(), requires_grad=old.requires_grad)
@@ -125,7 +125,7 @@ class Rows(nn.Module):
             setattr(self.carried, name, column(name, values))
 
     def _row_state(self, parameter: nn.Parameter) -> dict[str, Tensor]:
-        """What the optimiser remembers of each row of a parameter."""
+        """What the optimizer remembers of each row of a parameter."""
         state = self.optimizer.state.get(parameter, {})
         return {
             key: value

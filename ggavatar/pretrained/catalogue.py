@@ -52,13 +52,13 @@ class Model:
 
     Attributes:
         purpose: What it is for.
-        licence: Of the file.
+        license: Of the file.
         editions: Equivalent published states; the first is preferred.
         instead: Models that together do nearly as well where this one is not to be had.
     """
 
     purpose: str
-    licence: str
+    license: str
     editions: tuple[Edition, ...]
     instead: tuple[str, ...] = ()
 
@@ -305,6 +305,6 @@ def _advice(name: str, model: Model, offline: bool, failures: list[str]) -> str:
     reason = "offline" if offline else "; ".join(failures)
     return (
         f"model file {first.files[0]} ({model.purpose}) is needed and not here ({reason}). "
-        f"Get it from {' or '.join(addresses)} (SHA-256 {first.sha256[:12]}…, {model.licence}) "
+        f"Get it from {' or '.join(addresses)} (SHA-256 {first.sha256[:12]}…, {model.license}) "
         f"and put it into {cache_folder()}, or into a folder given with --models or $GGAVATAR_MODELS"
     )

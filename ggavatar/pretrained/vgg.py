@@ -24,14 +24,14 @@ class ModelFile:
         name: What it is, for messages.
         file: File name, below one of the searched folders.
         sha256: Digest of the whole file, lower-case hexadecimal.
-        licence: SPDX identifier.
+        license: SPDX identifier.
         source: Where a user gets it.
     """
 
     name: str
     file: str
     sha256: str
-    licence: str
+    license: str
     source: str
 
 
@@ -39,14 +39,14 @@ VGG16 = ModelFile(
     name="VGG16 trained on ImageNet (torchvision)",
     file="vgg16-397923af.pth",
     sha256="397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
-    licence="BSD-3-Clause",
+    license="BSD-3-Clause",
     source="https://download.pytorch.org/models/vgg16-397923af.pth",
 )
 VGG16_TO_RELU2_2 = ModelFile(
     name="first four convolutions of VGG16, torchvision's key layout",
     file="vgg16_features_to_relu2_2.pth",
     sha256="39ad811babdd2895d51b672bc95d988b706472d9bc3c0b3a196a686adf8b913b",
-    licence="BSD-3-Clause",
+    license="BSD-3-Clause",
     source="features.0, 2, 5 and 7 of VGG16; prefer the whole vgg16-397923af.pth",
 )
 

@@ -1,4 +1,4 @@
-"""Which rasteriser to use on which device."""
+"""Which rasterizer to use on which device."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ BACKENDS = {
 
 
 def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
-    """The rasteriser for tensors on `device`.
+    """The rasterizer for tensors on `device`.
 
     Args:
         device: Where the Gaussians live.
-        backend: `reference`, `cpu` or `gsplat`; `auto` takes gsplat on CUDA and the compiled rasteriser on a CPU. Where
+        backend: `reference`, `cpu` or `gsplat`; `auto` takes gsplat on CUDA and the compiled rasterizer on a CPU. Where
             that one cannot be imported it takes the reference and says on stderr how to get the faster one.
 
     Raises:
@@ -52,13 +52,13 @@ def _missing(backend: str) -> str:
 
 def _named(backend: str, kind: str) -> Rasterizer:
     if backend not in BACKENDS:
-        raise InputError(f"expected a rasteriser of auto, {', '.join(BACKENDS)}; found {backend!r}")
+        raise InputError(f"expected a rasterizer of auto, {', '.join(BACKENDS)}; found {backend!r}")
     home = {"gsplat": "cuda", "cpu": "cpu"}.get(backend, kind)
     if kind != home:
-        raise InputError(f"the {backend} rasteriser needs tensors on a {home} device, found {kind!r}; use auto")
+        raise InputError(f"the {backend} rasterizer needs tensors on a {home} device, found {kind!r}; use auto")
     missing = _missing(backend)
     if missing:
-        raise InputError(f"the {backend} rasteriser was asked for, but {missing}")
+        raise InputError(f"the {backend} rasterizer was asked for, but {missing}")
     return load(backend)
 
 

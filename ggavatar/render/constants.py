@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 NEAR = 0.01
-"""Gaussians whose centre is nearer than this are not drawn, m of camera z."""
+"""Gaussians whose center is nearer than this are not drawn, m of camera z."""
 
 LOW_PASS = 0.3
 """Added to both variances of every projected Gaussian, px²."""

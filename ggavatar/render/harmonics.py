@@ -68,7 +68,7 @@ def used_degree(coefficients: int, wanted: int | None) -> int:
 def sh_to_rgb(
     coefficients: Float[Tensor, "N K 3"], means: Float[Tensor, "N 3"], center: Float[Tensor, " 3"], degree: int
 ) -> Float[Tensor, "N 3"]:
-    """Colours max(0, SH + 0.5) of Gaussians seen from the camera centre `center` (m, world)."""
+    """Colors max(0, SH + 0.5) of Gaussians seen from the camera center `center` (m, world)."""
     offsets = means - center
     directions = offsets / offsets.norm(dim=-1, keepdim=True).clamp_min(1e-20)
     basis = sh_basis(directions, degree)

@@ -17,8 +17,8 @@ class Projected:
     """Gaussians on the image plane.
 
     Attributes:
-        means2d: Centres, px.
-        depths: Camera z of the centres, m.
+        means2d: Centers, px.
+        depths: Camera z of the centers, m.
         covariances: Entries xx, xy, yy after the low-pass filter, px².
         conics: Entries xx, xy, yy of the inverse covariances, 1/px².
         extents: Half width and half height of the box in which alpha ≥ 1/255, px; 0 where there is none.

@@ -1,4 +1,4 @@
-"""The yardstick: Gaussian rasterisation in plain torch, any dtype, any device, differentiable in everything.
+"""The yardstick: Gaussian rasterization in plain torch, any dtype, any device, differentiable in everything.
 
 It walks over tiles of the image and blends all Gaussians of a tile at once. Memory grows with pixels × Gaussians per
 tile, so it serves small images; `ggavatar.render.cpu.rasterizer` and `ggavatar.render.gsplat` do the work at size.
@@ -56,7 +56,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
 
 
 class Splats(NamedTuple):
-    """Projected Gaussians, front to back, with what is blended: colour and depth."""
+    """Projected Gaussians, front to back, with what is blended: color and depth."""
 
     projected: Projected
     opacities: Float[Tensor, " N"]

@@ -1,6 +1,6 @@
 """Gradient of drawing: the tiles once more from front to back, each entry of a tile's list into a slot of its own.
 
-With R what is still to be added to a pixel behind a Gaussian, ∂/∂alpha = light · ⟨g, colour⟩ − ⟨g, R⟩ / (1 −
+With R what is still to be added to a pixel behind a Gaussian, ∂/∂alpha = light · ⟨g, color⟩ − ⟨g, R⟩ / (1 −
 alpha). The inner product with R is one number per pixel that starts at ⟨g, image⟩ and falls, so nothing but the
 image is kept from drawing.
 """

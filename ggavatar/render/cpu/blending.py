@@ -35,7 +35,7 @@ def lane_grid():
 
 @inlined
 def block_pixels(block):
-    """Pixel centres of a block, px from the corner of the tile."""
+    """Pixel centers of a block, px from the corner of the tile."""
     x, y = lane_grid()
     return x + np.float32((block & 3) * BLOCK + 0.5), y + np.float32((block >> 2) * BLOCK + 0.5)
 
@@ -49,9 +49,9 @@ def first_light(pixel_x, pixel_y, width, height):
 
 @inlined
 def touched_blocks(record, x, y):
-    """Bits of the blocks that the ellipse alpha ≥ 1/255 meets; `x`, `y` is its centre from the corner of the tile, px.
+    """Bits of the blocks that the ellipse alpha ≥ 1/255 meets; `x`, `y` is its center from the corner of the tile, px.
 
-    The nearest point of a rectangle of pixel centres lies on one of the two sides that face the centre, and on
+    The nearest point of a rectangle of pixel centers lies on one of the two sides that face the center, and on
     a side it is found in closed form. So the test is exact, apart from a little slack.
     """
     column, row = lane_grid()
@@ -66,7 +66,7 @@ def touched_blocks(record, x, y):
 
 @inlined
 def spread(record, dx, dy):
-    """u² + v² at an offset from the centre: half the squared distance in standard deviations, in units of ln 2."""
+    """u² + v² at an offset from the center: half the squared distance in standard deviations, in units of ln 2."""
     u = fma(dx, record[0], dy * record[1])
     v = dy * record[2]
     return fma(u, u, v * v)

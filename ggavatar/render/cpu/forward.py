@@ -104,7 +104,7 @@ def draw_tile(work, bins, records, view, canvas, tile):
 
 @inlined
 def clear_tile(scratch, width, height):
-    """Start every pixel with no colour and all light; returns the bits of the blocks with a pixel in the image."""
+    """Start every pixel with no color and all light; returns the bits of the blocks with a pixel in the image."""
     alive = np.int64(0)
     for block in range(16):
         x, y = block_pixels(block)
@@ -119,7 +119,7 @@ def clear_tile(scratch, width, height):
 
 @inlined
 def gather_batch(work, entries, size, records, corner, alive):
-    """Copy up to 64 records, their centres whitened and seen from the tile's corner, and note the blocks they touch."""
+    """Copy up to 64 records, their centers whitened and seen from the tile's corner, and note the blocks they touch."""
     scratch, mask = work
     for number in range(BATCH):
         if number >= size:

@@ -48,7 +48,7 @@ from ggavatar.render.cpu.layout import (
 from ggavatar.render.cpu.projection import BLUE, CHUNK, GREEN, RECORD, RED, TWO_LN2, XX, XY, YY, bare_footprints
 
 POSE = SCRATCH
-"""Where in the scratch the pose gradient is summed: rotation row by row, translation, camera centre."""
+"""Where in the scratch the pose gradient is summed: rotation row by row, translation, camera center."""
 
 POSE_SUMS = 15
 GRADIENT_SCRATCH = SCRATCH + 16 * POSE_SUMS
@@ -149,7 +149,7 @@ def covariance_gradient(records, sums):
 
 @inlined
 def passed_colors(cloud, records, sums, seen):
-    """Gradients of the colours, before the clamp where there is one."""
+    """Gradients of the colors, before the clamp where there is one."""
     zero = np.float32(0)
     red = select(seen, sums[SUM_RED], zero)
     green = select(seen, sums[SUM_GREEN], zero)
@@ -307,7 +307,7 @@ def scaled(factor, a):
 
 @inlined
 def differentiate_colors(scratch, cloud, view, target, colors, means, rows):
-    """Write the gradient of the colours; returns that of the camera centre, per Gaussian."""
+    """Write the gradient of the colors; returns that of the camera center, per Gaussian."""
     first, last = rows
     zero = splat(np.float32(0))
     if cloud.degree <= 0:

@@ -1,4 +1,4 @@
-"""Spherical harmonics of sixteen Gaussians at a time: colours, and the gradients of coefficients and directions."""
+"""Spherical harmonics of sixteen Gaussians at a time: colors, and the gradients of coefficients and directions."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def fill_basis(scratch, unit, degree):
 
 @inlined
 def prefetch_colors(colors, coefficients, first, last):
-    """Ask for the colours of a later group of sixteen; without this, waiting for memory takes most of the time."""
+    """Ask for the colors of a later group of sixteen; without this, waiting for memory takes most of the time."""
     size = 3 * max(coefficients, 1)
     for place in range(first * size, min(first + 16, last + 1) * size, 16):
         prefetch(colors, place)
@@ -78,7 +78,7 @@ def load_coefficients(scratch, cloud, first, last):
 
 @inlined
 def harmonic_colors(scratch, terms):
-    """Colours before the clamp: the sum of coefficient times basis plus one half."""
+    """Colors before the clamp: the sum of coefficient times basis plus one half."""
     red, green, blue = splat(np.float32(0.5)), splat(np.float32(0.5)), splat(np.float32(0.5))
     for term in range(terms):
         value = load(scratch, BASIS + term * 16)
@@ -90,7 +90,7 @@ def harmonic_colors(scratch, terms):
 
 @inlined
 def colors_of(scratch, cloud, center, means, first, last):
-    """Colours of sixteen Gaussians as seen from the camera, and a vector that is NaN or infinite where an input was."""
+    """Colors of sixteen Gaussians as seen from the camera, and a vector that is NaN or infinite where an input was."""
     if cloud.coefficients == 0:
         red, green, blue = columns_3(cloud.colors, first, last)
         return (red, green, blue), red + green + blue
@@ -105,7 +105,7 @@ def colors_of(scratch, cloud, center, means, first, last):
 
 @inlined
 def store_color_gradient(scratch, cloud, gradient, color_gradients, first, last):
-    """Write the gradient of the colours or coefficients of sixteen Gaussians; overwrites the scratch."""
+    """Write the gradient of the colors or coefficients of sixteen Gaussians; overwrites the scratch."""
     red, green, blue = color_gradients
     stride = 3 * max(cloud.coefficients, 1)
     used = 3 * (cloud.degree + 1) * (cloud.degree + 1)
@@ -193,7 +193,7 @@ def _cubic_gradient(scratch, unit, color_gradients):
 
 @inlined
 def passed(colors, gradients):
-    """Gradients of the colours before the clamp at zero."""
+    """Gradients of the colors before the clamp at zero."""
     zero = np.float32(0)
     red = select(colors[0] > zero, gradients[0], zero)
     green = select(colors[1] > zero, gradients[1], zero)

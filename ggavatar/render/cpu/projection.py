@@ -1,6 +1,6 @@
 """Projection of Gaussians, sixteen at a time: everything the tiles need, in one 64-byte record per Gaussian.
 
-Shapes come first and colours after them, in a pass of their own: sorting into tiles needs no colours, so one thread
+Shapes come first and colors after them, in a pass of their own: sorting into tiles needs no colors, so one thread
 sorts while the others read harmonics.
 """
 
@@ -39,8 +39,8 @@ from ggavatar.render.cpu.layout import (
     unit_quaternion,
 )
 
-# A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px,
-# log2 of the opacity, colour, camera z, steps to the nearest point of the ellipse along y per dx and along x per
+# A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), center in px,
+# log2 of the opacity, color, camera z, steps to the nearest point of the ellipse along y per dx and along x per
 # dy, log2 of 255 · opacity.
 XX, XY, YY, X, Y, OPACITY, RED, GREEN, BLUE, DEPTH, STEP_Y, STEP_X, REACH, RECORD = *range(13), 16
 
@@ -74,7 +74,7 @@ class Footprints(NamedTuple):
 
 @kernel
 def project_chunks(tickets, cloud, view, footprints):
-    """Project chunks of Gaussians, colours left out, until none is left."""
+    """Project chunks of Gaussians, colors left out, until none is left."""
     cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
     chunks = (cloud.rows + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
@@ -85,7 +85,7 @@ def project_chunks(tickets, cloud, view, footprints):
 
 @kernel
 def color_chunks(tickets, scratches, cloud, view, footprints):
-    """Add the colours to the records of chunks of Gaussians until none is left."""
+    """Add the colors to the records of chunks of Gaussians until none is left."""
     scratch = pointer(scratches, take_ticket(tickets, 1) * SCRATCH)
     cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
     chunks = (cloud.rows + CHUNK - 1) // CHUNK
@@ -145,7 +145,7 @@ def project_group(cloud, view, footprints, first, faults):
 
 @inlined
 def color_chunk(scratch, cloud, view, footprints, chunk):
-    """Colour one chunk and note whether a colour was not finite."""
+    """Color one chunk and note whether a color was not finite."""
     last = cloud.rows - 1
     fault = splat(np.float32(0))
     for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
@@ -177,7 +177,7 @@ def write_group(footprints, view, rows, depth_opacity, center, cov):
     top, bottom = covered_tiles(center[1], half_height, view[24])
     store_boxes(footprints.boxes, rows[0] * 4, (left, top, select(drawn, right, left), bottom))
     root, inverse = sqrt(yy), one / sqrt(determinant)
-    record = (  # colours, like the padding, are for now whatever is at hand
+    record = (  # colors, like the padding, are for now whatever is at hand
         WHITEN * root * inverse, negate(WHITEN * xy * inverse / root), WHITEN / root,
         center[0], center[1], reach - LOG2_255,
         xx, xx, xx, depths,
@@ -188,7 +188,7 @@ def write_group(footprints, view, rows, depth_opacity, center, cov):
 
 @inlined
 def covered_tiles(center, half, size):
-    """First tile and one past the last tile whose pixel centres the interval can reach; equal where it reaches none."""
+    """First tile and one past the last tile whose pixel centers the interval can reach; equal where it reaches none."""
     low = maximum(ceil(center - half - (np.float32(0.5) + SLACK_PX)), np.float32(0))
     high = minimum(floor(center + half - (np.float32(0.5) - SLACK_PX)), size - np.float32(1))
     first = floor(minimum(low, size) / TILE)

@@ -1,4 +1,4 @@
-"""The rasteriser that training uses on a CPU: compiled kernels over 16-lane vectors behind one autograd function.
+"""The rasterizer that training uses on a CPU: compiled kernels over 16-lane vectors behind one autograd function.
 
 Same numerics as `ggavatar.render.reference` in float32. Results are bit-identical for any number of threads: pieces
 of work are of fixed size, every sum has a place and an order of its own, and nothing is added atomically.
@@ -51,7 +51,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
     check_shapes(gaussians, camera, background)
     if camera.intrinsics.requires_grad:
         raise InputError(
-            "camera.intrinsics: the cpu rasteriser gives no gradient for them; detach them or use the reference"
+            "camera.intrinsics: the cpu rasterizer gives no gradient for them; detach them or use the reference"
         )
     colors = gaussians.colors
     degree = used_degree(colors.shape[1], gaussians.sh_degree) if colors.ndim == 3 else -1
@@ -116,7 +116,7 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _pose_gradient(pose: Tensor, sums: np.ndarray) -> Tensor:
-    """Gradient of `world_to_camera`, given sums for its rotation, its translation and the camera centre −Rᵀ t."""
+    """Gradient of `world_to_camera`, given sums for its rotation, its translation and the camera center −Rᵀ t."""
     transform, center = pose.double().numpy(), sums[12:]
     gradient = np.zeros((4, 4))
     gradient[:3, :3] = sums[:9].reshape(3, 3) - np.outer(transform[:3, 3], center)

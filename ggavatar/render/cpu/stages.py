@@ -1,4 +1,4 @@
-"""The stages of the compiled rasteriser: allocate, and let the threads run a kernel.
+"""The stages of the compiled rasterizer: allocate, and let the threads run a kernel.
 
 Memory is filled through numpy and by our own threads: torch's parallel loops would hang in a forked child.
 """
@@ -34,7 +34,7 @@ class Lens(NamedTuple):
 
 
 def _floats(size: int) -> np.ndarray:
-    """Uninitialised floats; torch aligns them to cache lines, numpy would not."""
+    """Uninitialized floats; torch aligns them to cache lines, numpy would not."""
     return torch.empty(size).numpy()
 
 
@@ -69,7 +69,7 @@ def view_array(lens: Lens, pose: Tensor, background: Tensor) -> np.ndarray:
 
 
 def project_all(cloud: Cloud, view: np.ndarray, means2d: Tensor, radii: Tensor) -> Footprints:
-    """Project all Gaussians, colours left out; fills `means2d` and `radii`."""
+    """Project all Gaussians, colors left out; fills `means2d` and `radii`."""
     sizes, chunks = memory_of(radii), -(-cloud.rows // CHUNK)
     boxes, faults = np.empty(4 * sizes.size, np.int16), np.zeros(chunks * CHECKED, np.float32)
     footprints = Footprints(_floats(RECORD * sizes.size), memory_of(means2d), sizes, boxes, faults)
@@ -78,7 +78,7 @@ def project_all(cloud: Cloud, view: np.ndarray, means2d: Tensor, radii: Tensor) 
 
 
 def bin_and_color(cloud: Cloud, view: np.ndarray, footprints: Footprints) -> Bins:
-    """Sort the visible Gaussians into tiles; meanwhile other threads put the colours into the records."""
+    """Sort the visible Gaussians into tiles; meanwhile other threads put the colors into the records."""
     tickets, scratches, bins = np.zeros(2, np.int64), _floats(workers() * SCRATCH), []
 
     def task(index: int) -> None:
@@ -117,7 +117,7 @@ def draw_all(
 def differentiate_all(
     cloud: Cloud, view: np.ndarray, footprints: Footprints, bins: Bins, canvas: Canvas, incoming: Incoming
 ) -> tuple[tuple[Tensor, ...], np.ndarray]:
-    """Gradients of means, quats, scales, opacities, colours and image positions, and the sums for the pose."""
+    """Gradients of means, quats, scales, opacities, colors and image positions, and the sums for the pose."""
     slots, pieces = _floats(SUMS * canvas.hits.size + SUMS_READ), -(-canvas.ends.size // TILES_PER_TICKET)
     scratches = _floats(workers() * BACKWARD_SCRATCH)
     share(differentiate_tiles, pieces, scratches, bins, footprints.records, view, canvas, incoming, slots)

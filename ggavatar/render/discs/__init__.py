@@ -1,1 +1,1 @@
-"""Flat discs for PointAvatar: a rasteriser of their own."""
+"""Flat discs for PointAvatar: a rasterizer of their own."""

@@ -60,7 +60,7 @@ def bare_drawing(drawing):
 
 @inlined
 def span(center, half, size):
-    """First pixel, and first pixel beyond, of those in [0, size) whose centres lie within `half` of `center`, px."""
+    """First pixel, and first pixel beyond, of those in [0, size) whose centers lie within `half` of `center`, px."""
     low, high = ceil(center - half - HALF), floor(center + half - HALF)
     return max(np.int64(low), 0), min(np.int64(high) + 1, size)
 
@@ -136,7 +136,7 @@ def find_nearest(bins, records, view, drawing, tile):
 
 @inlined
 def coverage(records, record, x, y, radius):
-    """Alpha of a disc in a pixel, and the offset of the pixel from its centre in radii."""
+    """Alpha of a disc in a pixel, and the offset of the pixel from its center in radii."""
     dx = (np.float32(x) + HALF - records[record + X]) / radius
     dy = (np.float32(y) + HALF - records[record + Y]) / radius
     return max(ONE - (dx * dx + dy * dy), ZERO), dx, dy
@@ -209,7 +209,7 @@ def differentiate_tiles(tickets, bins, records, background, view, drawing, incom
 def differentiate_pixel(bins, records, background, view, drawing, incoming, work, slots):
     """Add one pixel's part to the slots of its discs, back to front.
 
-    With B what a pixel would show of the discs behind one, ∂/∂alpha = light · ⟨g, colour − B⟩; B folds from back to
+    With B what a pixel would show of the discs behind one, ∂/∂alpha = light · ⟨g, color − B⟩; B folds from back to
     front without a division.
     """
     to_image, to_alpha = incoming

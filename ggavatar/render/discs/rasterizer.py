@@ -1,4 +1,4 @@
-"""Rasteriser of discs (PointAvatar): compiled kernels on a CPU, plain torch elsewhere."""
+"""Rasterizer of discs (PointAvatar): compiled kernels on a CPU, plain torch elsewhere."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
     """Draw the ten nearest discs of every pixel, front to back.
 
     Args:
-        gaussians: Discs with RGB colours.
+        gaussians: Discs with RGB colors.
         camera: Differentiable in `world_to_camera`.
         background: sRGB, without gradient.
 
@@ -62,7 +62,7 @@ def _reference(gaussians: Gaussians, camera: Camera, background: Tensor) -> Disc
 def _checked(gaussians: Gaussians, camera: Camera, background: Tensor) -> Discs:
     """The discs, if they can be drawn."""
     if not isinstance(gaussians, Discs) or gaussians.colors.ndim != 2:
-        raise InputError(f"expected discs with RGB colours, found {type(gaussians).__name__}; draw those with pick()")
+        raise InputError(f"expected discs with RGB colors, found {type(gaussians).__name__}; draw those with pick()")
     check_shapes(gaussians, camera, background)
     drawn = {"gaussians.means": gaussians.means, "gaussians.colors": gaussians.colors}
     check_finite(drawn | camera_tensors(camera, background))
@@ -70,7 +70,7 @@ def _checked(gaussians: Gaussians, camera: Camera, background: Tensor) -> Discs:
 
 
 class _Rasterize(torch.autograd.Function):
-    """(image positions, colours) → image, alpha, depth, shown."""
+    """(image positions, colors) → image, alpha, depth, shown."""
 
     @staticmethod
     def forward(ctx: Any, size: tuple[int, int, float], *inputs: Tensor) -> tuple[Tensor, ...]:

@@ -46,7 +46,7 @@ def rasterize(discs: Discs, camera: Camera, background: Float[Tensor, " 3"]) -> 
 
 
 def _pixels(top: int, camera: Camera, like: Tensor) -> Float[Tensor, "P 2"]:
-    """Centres of the pixels of a strip, row by row."""
+    """Centers of the pixels of a strip, row by row."""
     x = torch.arange(camera.width).to(like) + 0.5
     y = torch.arange(top, min(top + ROWS, camera.height)).to(like) + 0.5
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).reshape(-1, 2)
@@ -55,7 +55,7 @@ def _pixels(top: int, camera: Camera, like: Tensor) -> Float[Tensor, "P 2"]:
 def _weights(
     pixels: Float[Tensor, "P 2"], centers: Float[Tensor, "N 2"], reach: float
 ) -> tuple[Float[Tensor, "P N"], Float[Tensor, "P 1"]]:
-    """Share of every disc (centres in radii, front to back) in every pixel, and the light that is left."""
+    """Share of every disc (centers in radii, front to back) in every pixel, and the light that is left."""
     square = (pixels[:, None] / reach - centers).square().sum(-1)
     touching = square.detach() < 1
     nearest = touching & (touching.cumsum(1) <= NEAREST)

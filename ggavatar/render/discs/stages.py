@@ -1,4 +1,4 @@
-"""The stages of the compiled rasteriser of discs: allocate, and let the threads run a kernel."""
+"""The stages of the compiled rasterizer of discs: allocate, and let the threads run a kernel."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def draw(placed: Placed) -> tuple[Drawing, np.ndarray]:
 def differentiate(
     placed: Placed, drawing: Drawing, to_image: np.ndarray, to_alpha: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of colours [N, 3] and image positions [N, 2]."""
+    """Gradients of colors [N, 3] and image positions [N, 2]."""
     view, records, bins, background = placed
     count, tiles = bins.slots.size - 1, bins.starts.size - 1
     slots = np.empty(bins.entries.size // 2 * SLOT, np.float32)

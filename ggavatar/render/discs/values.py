@@ -26,7 +26,7 @@ class Discs(Gaussians):
     exports or draws Gaussians instead.
 
     Attributes:
-        radius: Of every disc, half the shorter side of the image (normalised device coordinates).
+        radius: Of every disc, half the shorter side of the image (normalized device coordinates).
     """
 
     radius: float = 0.0
@@ -47,21 +47,21 @@ def similar_scale(radius: float, distance: float) -> float:
     """Standard deviation of a Gaussian with the second moment of a disc's alpha: radius · distance / √6.
 
     Args:
-        radius: Of the disc, normalised device coordinates.
-        distance: Metres per unit of these coordinates where the disc is.
+        radius: Of the disc, normalized device coordinates.
+        distance: Meters per unit of these coordinates where the disc is.
     """
     return radius * distance / 6**0.5
 
 
 def radius_in_pixels(radius: float, camera: Camera) -> float:
-    """Radius in px of discs of a radius in normalised device coordinates."""
+    """Radius in px of discs of a radius in normalized device coordinates."""
     return radius * min(camera.width, camera.height) / 2
 
 
 def project_discs(
     means: Float[Tensor, "N 3"], radius: float, camera: Camera
 ) -> tuple[Float[Tensor, "N 2"], Float[Tensor, " N"], Float[Tensor, " N"]]:
-    """Centres in px, camera z in m, and radii in px, which are 0 for discs behind the camera or beside the image.
+    """Centers in px, camera z in m, and radii in px, which are 0 for discs behind the camera or beside the image.
 
     Sums of three terms are written out, so that they come in one order whatever the threads do.
     """

@@ -96,7 +96,7 @@ def test_rigid_inverse() -> None:
     assert torch.allclose(transform @ invert_rigid(transform), torch.eye(4, dtype=torch.float64), atol=1e-12)
 
 
-def test_look_at_centres_the_target_upright() -> None:
+def test_look_at_centers_the_target_upright() -> None:
     eye, target = torch.tensor([0.3, 0.2, 1.5]), torch.tensor([0.0, 0.1, 0.0])
     view = look_at(eye, target, torch.tensor([0.0, 1.0, 0.0]))
     intrinsics = torch.tensor([[500.0, 0, 128], [0, 500.0, 96], [0, 0, 1]])

@@ -33,7 +33,7 @@ def test_every_texel_of_a_full_layout_has_its_own_place() -> None:
 
 def test_texels_outside_all_triangles_have_no_sample_and_overlaps_belong_to_the_first() -> None:
     small = torch.tensor([[[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]])
-    assert len(texel_samples(small, 8).face) == 10  # 4 + 3 + 2 + 1 centres
+    assert len(texel_samples(small, 8).face) == 10  # 4 + 3 + 2 + 1 centers
     twice = texel_samples(torch.cat((small.flip(1), small)), 8)
     assert len(twice.face) == 10 and not twice.face.any()
     nothing = texel_samples(torch.zeros(2, 3, 2), 8)

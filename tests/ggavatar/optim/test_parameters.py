@@ -20,7 +20,7 @@ def make_rows(count: int = 6) -> Rows:
 
 
 def pull(rows: Rows, steps: int = 3) -> None:
-    """A few steps towards 1 on every learnable column, each row with a strength of its own."""
+    """A few steps toward 1 on every learnable column, each row with a strength of its own."""
     for _ in range(steps):
         strength = 1 + rows["face"].to(torch.float32)
         loss = (strength[:, None] * (rows["means"] - 1) ** 2).sum() + (strength * (rows["weights"] - 1) ** 2).sum()
@@ -97,7 +97,7 @@ def test_rates_belong_to_columns() -> None:
     rows.set_rate("means", 0.5)
     assert (rows.rate("means"), rows.rate("weights")) == (0.5, 0.01)
     with pytest.raises(KeyError, match="means"):
-        rows.set_rate("colours", 1.0)
+        rows.set_rate("colors", 1.0)
 
 
 def test_state_with_another_number_of_rows_loads() -> None:

@@ -151,7 +151,7 @@ def test_what_stands_in_is_fetched_where_the_first_choice_is_not_to_be_had(place
 
 def test_table_is_complete():
     for name, model in TABLE.items():
-        assert model.licence and model.purpose and model.editions, name
+        assert model.license and model.purpose and model.editions, name
         for edition in model.editions:
             assert len(edition.sha256) == 64 and (edition.address or edition.member)
             assert edition.address is None or edition.address.startswith("https://storage.googleapis.com/mediapipe-")

@@ -21,7 +21,7 @@ from ggavatar.render.cpu import rasterizer
 from tests.support.render_scenes import gradients, random_camera, random_gaussians
 
 
-def test_the_cpu_gets_the_compiled_rasteriser() -> None:
+def test_the_cpu_gets_the_compiled_rasterizer() -> None:
     assert pick("cpu") is rasterizer.rasterize
     assert pick(torch.device("cpu"), "cpu") is rasterizer.rasterize
     assert pick("cpu", "reference") is reference.rasterize

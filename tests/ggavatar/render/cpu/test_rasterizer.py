@@ -1,4 +1,4 @@
-"""The compiled rasteriser against float64 autograd of the reference."""
+"""The compiled rasterizer against float64 autograd of the reference."""
 
 from __future__ import annotations
 
