@@ -202,7 +202,7 @@ class _RestrictedUnpickler(pickle._Unpickler):
 
 
 def read_pickle(path: Path) -> Any:
-    """Read the plain content (dicts, lists, numbers, text, arrays) of a pickle or of a `torch.save` file without tensors.
+    """Read the plain content (dicts, lists, numbers, text, arrays) of a pickle, or of a tensorless `torch.save` file.
 
     Raises:
         InputError: The file is missing, damaged, too large, or names anything that is not on the allow-list.

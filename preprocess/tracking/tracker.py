@@ -81,7 +81,7 @@ def track(
 
 def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
     """The landmark networks and the average face: the bundle's, or what stands in where it is not to be had."""
-    found = catalogue.resolve_all("face_landmarker", options.models, options.offline)
+    found = catalogue.resolve_with_substitutes("face_landmarker", options.models, options.offline)
     if len(found) == 1:
         return LandmarkTracker(found[0]), canonical_face(found[0])
     return LandmarkTracker(FaceFiles(*found)), drawn_face()

@@ -21,7 +21,7 @@ from ggavatar.geometry.transforms import (
     rigid,
     rotation_6d_to_matrix,
 )
-from ggavatar.geometry.triangles import frames_in_torch, triangle_frames
+from ggavatar.geometry.triangles import triangle_frames, triangle_frames_torch
 
 COUNT = 500
 
@@ -148,7 +148,7 @@ def test_compiled_triangle_frames_equal_the_twin(shape: str) -> None:
         faces[:, 2] = faces[:, 1]
     elif shape == "points":
         faces[:, 1], faces[:, 2] = faces[:, 0], faces[:, 0]
-    found, expected = triangle_frames(vertices, faces), frames_in_torch(vertices, faces)
+    found, expected = triangle_frames(vertices, faces), triangle_frames_torch(vertices, faces)
     assert torch.allclose(found.centers, expected.centers, atol=1e-8)
     assert torch.allclose(found.scales, expected.scales, rtol=1e-5, atol=1e-8)
     unit = found.rotations.transpose(1, 2) @ found.rotations
