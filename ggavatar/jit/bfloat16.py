@@ -17,7 +17,7 @@ CPU_FEATURES = ("avx512bf16", "amx-bf16")
 
 
 def matmul_dtype(device: torch.device) -> torch.dtype:
-    """Dtype for hidden layers that need no more than 8 bits of mantissa: bfloat16 on a CPU made for it, else float32."""
+    """Dtype for layers that need no more than 8 bits of mantissa: bfloat16 on a CPU made for it, else float32."""
     return torch.bfloat16 if device.type == "cpu" and _has_bfloat16_products() else torch.float32
 
 

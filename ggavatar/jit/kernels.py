@@ -36,7 +36,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: a function that LLVM inlines into kernels; it is not cached, which would only double the compile time."""
+    """Decorator: compile a function that LLVM inlines into kernels; caching it too would double the compile time."""
     return numba.njit(inline="never", forceinline=True, **OPTIONS)(inspect.unwrap(function))
 
 

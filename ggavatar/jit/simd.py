@@ -267,7 +267,7 @@ def total(typingctx: Any, value: Any) -> Any:
 
 
 @intrinsic
-def ramp(typingctx: Any) -> Any:
+def lane_indices(typingctx: Any) -> Any:
     """The numbers of the lanes: 0, 1, … 15."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:

@@ -1,1 +1,1 @@
-"""The CPU rasterizer that we train with, as compiled kernels."""
+"""The compiled CPU rasterizer."""

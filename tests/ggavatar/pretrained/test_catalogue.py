@@ -12,7 +12,7 @@ import pytest
 
 from ggavatar.errors import InputError
 from ggavatar.pretrained import catalogue
-from ggavatar.pretrained.catalogue import MODELS, Version, Model, resolve
+from ggavatar.pretrained.catalogue import MODELS, Model, Version, resolve
 
 RIGHT, OTHER = b"the network", b"the network of the wheel"
 
