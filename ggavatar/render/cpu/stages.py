@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.jit.padding import flat, memory_of, padded
-from ggavatar.jit.threads import run, share, workers
+from ggavatar.jit.threads import max_workers, run, run_workers
 from ggavatar.render.constants import CLAMP_MARGIN
 from ggavatar.render.cpu.backward import BACKWARD_SCRATCH, SUMS, SUMS_READ, Incoming, differentiate_tiles
 from ggavatar.render.cpu.binning import Bins, count_tiles, fill_tiles, sort_by_depth
@@ -73,20 +73,20 @@ def project_all(cloud: Cloud, view: np.ndarray, means2d: Tensor, radii: Tensor) 
     sizes, chunks = memory_of(radii), -(-cloud.rows // CHUNK)
     boxes, faults = np.empty(4 * sizes.size, np.int16), np.zeros(chunks * CHECKED_TENSORS, np.float32)
     footprints = Footprints(_floats(RECORD * sizes.size), memory_of(means2d), sizes, boxes, faults)
-    share(project_chunks, chunks, cloud, view, footprints)
+    run_workers(project_chunks, chunks, cloud, view, footprints)
     return footprints
 
 
 def bin_and_color(cloud: Cloud, view: np.ndarray, footprints: Footprints) -> Bins:
     """Sort the visible Gaussians into tiles while other threads write the colors into the records."""
-    tickets, scratches, bins = np.zeros(2, np.int64), _floats(workers() * SCRATCH), []
+    tickets, scratches, bins = np.zeros(2, np.int64), _floats(max_workers() * SCRATCH), []
 
     def task(index: int) -> None:
         if index == 0:
             bins.append(bin_all(footprints, view))
         color_chunks(tickets, scratches, cloud, view, footprints)
 
-    run(task, workers())
+    run(task, max_workers())
     return bins[0]
 
 
@@ -109,8 +109,8 @@ def draw_all(
     image, transmittance, depth, alpha = (torch.empty(height, width, channels) for channels in (3, 1, 1, 1))
     hits, ends = np.empty(bins.entries.size // 2, np.uint16), np.empty(tiles, np.int64)
     canvas = Canvas(flat(image), flat(transmittance), flat(depth), flat(alpha), hits, ends)
-    scratches, masks = _floats(workers() * FORWARD_SCRATCH), np.empty(workers() * BATCH, np.uint16)
-    share(draw_tiles, -(-tiles // TILES_PER_TICKET), scratches, masks, bins, records, view, canvas)
+    scratches, masks = _floats(max_workers() * FORWARD_SCRATCH), np.empty(max_workers() * BATCH, np.uint16)
+    run_workers(draw_tiles, -(-tiles // TILES_PER_TICKET), scratches, masks, bins, records, view, canvas)
     return (image, transmittance, depth, alpha), hits, ends
 
 
@@ -119,13 +119,13 @@ def differentiate_all(
 ) -> tuple[tuple[Tensor, ...], np.ndarray]:
     """Gradients of means, quats, scales, opacities, colors and projected centers, and the sums for the pose."""
     slots, pieces = _floats(SUMS * canvas.hits.size + SUMS_READ), -(-canvas.ends.size // TILES_PER_TICKET)
-    scratches = _floats(workers() * BACKWARD_SCRATCH)
-    share(differentiate_tiles, pieces, scratches, bins, footprints.records, view, canvas, incoming, slots)
+    scratches = _floats(max_workers() * BACKWARD_SCRATCH)
+    run_workers(differentiate_tiles, pieces, scratches, bins, footprints.records, view, canvas, incoming, slots)
     count, chunks = cloud.rows, -(-cloud.rows // CHUNK)
     means, quats, scales, opacities, means2d = (padded(count, *columns) for columns in ((3,), (4,), (3,), (), (2,)))
     colors, poses = torch.empty(cloud.colors.size), np.zeros((chunks, POSE_SUMS), np.float32)
     padded_memory = [memory_of(tensor) for tensor in (means, quats, scales, opacities)]
     gradients = Gradients(*padded_memory, flat(colors), memory_of(means2d), poses.reshape(-1))
-    scratches = _floats(workers() * GRADIENT_SCRATCH)
-    share(differentiate_chunks, chunks, scratches, cloud, view, footprints, bins, slots, gradients)
+    scratches = _floats(max_workers() * GRADIENT_SCRATCH)
+    run_workers(differentiate_chunks, chunks, scratches, cloud, view, footprints, bins, slots, gradients)
     return (means, quats, scales, opacities, colors, means2d), poses.astype(np.float64).sum(0)

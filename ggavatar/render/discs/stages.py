@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from ggavatar.jit.threads import share
+from ggavatar.jit.threads import run_workers
 from ggavatar.render.cpu.binning import Bins, count_tiles, fill_tiles, sort_by_depth
 from ggavatar.render.cpu.blending import TILES_PER_TICKET
 from ggavatar.render.cpu.layout import RECORD, TILE
@@ -58,7 +58,7 @@ def draw(discs: BinnedDiscs) -> tuple[Drawing, np.ndarray]:
     image, transmittance, depth = (np.empty(pixels * channels, np.float32) for channels in (3, 1, 1))
     entries, counts = np.empty(pixels * NEAREST, np.int32), np.empty(pixels, np.uint8)
     drawing = Drawing(image, transmittance, depth, entries, counts, np.empty(bins.entries.size // 2, np.uint8))
-    share(draw_tiles, -(-tiles // TILES_PER_TICKET), bins, records, background, view, drawing)
+    run_workers(draw_tiles, -(-tiles // TILES_PER_TICKET), bins, records, background, view, drawing)
     shown = np.empty(bins.slots.size - 1, np.bool_)
     gather_shown(bins, drawing.shown, shown)
     return drawing, shown
@@ -72,7 +72,7 @@ def differentiate(
     count, tiles = bins.slots.size - 1, bins.starts.size - 1
     slots = np.empty(bins.entries.size // 2 * SLOT, np.float32)
     work = bins, records, background, view, drawing, (to_image, to_alpha), slots
-    share(differentiate_tiles, -(-tiles // TILES_PER_TICKET), *work)
+    run_workers(differentiate_tiles, -(-tiles // TILES_PER_TICKET), *work)
     to_colors, to_means2d = np.empty((count, 3), np.float32), np.empty((count, 2), np.float32)
     gather_slots(bins, slots, to_colors, to_means2d)
     return to_colors, to_means2d
