@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import load, pointer, store_columns, take_ticket, transpose
-from ggavatar.jit.quaternions import conjugate, from_matrix, inverse_length, product, row, scaled, normalize_backward
+from ggavatar.jit.quaternions import conjugate, from_matrix, inverse_length, normalize_backward, product, row, scaled
 from ggavatar.jit.simd import LANES, exp, maximum, sqrt
 from ggavatar.jit.threads import run_workers
 from ggavatar.jit.vectors import columns_3, columns_4, dot

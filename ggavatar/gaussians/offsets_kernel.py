@@ -7,7 +7,7 @@ import numpy as np
 from ggavatar.gaussians.binding_kernel import CHUNK, Floats, Geometry, bare, one_over_length
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import gather_rows, load_rows, pointer, store_columns, store_rows_10, take_ticket, transpose
-from ggavatar.jit.quaternions import conjugate, product, scaled, normalize_backward
+from ggavatar.jit.quaternions import conjugate, normalize_backward, product, scaled
 from ggavatar.jit.simd import LANES, exp, fma, splat
 from ggavatar.jit.threads import run_workers
 from ggavatar.jit.vectors import columns_3, columns_4

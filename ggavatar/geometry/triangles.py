@@ -23,7 +23,7 @@ class TriangleFrames(NamedTuple):
 def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
     """Centroid, orientation and size of every triangle.
 
-    With edges a10 and a20 from the first corner, the columns of the rotation are n0 = unit(a10), n1 = the unit normal
+    Edges a10 and a20 start at the first corner. The columns of the rotation are n0 = unit(a10), n1 = the unit normal
     and n2 = n0 × n1. The size is (|a10| + |n2·a20|) / 2, the mean of an edge and the height over it. The paper prints
     |a20| for the edge; docs/paper.md (A1) says why |a10| is used.
 

@@ -425,7 +425,7 @@ def lane_sums(typingctx: Any, values: Any) -> Any:
         for step in (8, 4, 2, 1):
             seconds = [*level[1::2], None][: len(level[::2])]
             level = [_fold(builder, first, second, step) for first, second in zip(level[::2], seconds, strict=True)]
-        # The first stage splits the highest bit of a lane by the lowest bit of a vector's number: the order is reversed.
+        # The first stage maps the lowest bit of a vector's number to the highest bit of a lane: the order is reversed.
         order = [int(f"{lane:04b}"[::-1], 2) for lane in range(LANES)]
         return builder.shuffle_vector(level[0], level[0], ir.Constant(_INTS, order))
 

@@ -1,7 +1,7 @@
-"""An average face for when the canonical one is not at hand: where the network sees its landmarks on drawn people.
+"""An average face for use without MediaPipe's canonical one: where the network finds its landmarks on generated people.
 
-The landmarks of the embedded subjects 1 to 3, looked up on their known meshes in 300 frames, laid on the generic
-procedural head, averaged and made symmetric. The subjects agree to 0.7 mm.
+The landmarks of the generated persons 1 to 3, located on their known meshes in 300 frames, transferred to the generic
+procedural head, averaged and made symmetric. The persons agree to 0.7 mm.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _TENTH_MILLIMETERS = """
 """
 
 
-def drawn_face() -> CanonicalFace:
-    """The average drawn face; same axes and numbering as `canonical_face`."""
+def average_face() -> CanonicalFace:
+    """The average face of generated people; axes and numbering are those of `canonical_face`."""
     points = [[int(number) for number in triple.split(",")] for triple in _TENTH_MILLIMETERS.split()]
     return CanonicalFace(np.array(points, dtype=np.float64) * 1e-4)
