@@ -24,6 +24,8 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from ggavatar.io.cache_folder import cache_folder
 
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
+"""Packages whose sources a kernel may depend on."""
+
 ROOT = Path(__file__).parents[2]
 DIGEST_BYTES = hashlib.sha256().digest_size
 

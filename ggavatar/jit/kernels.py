@@ -12,7 +12,7 @@ from typing import Any
 import numba
 from numba.core.event import Event, Listener, register
 
-from ggavatar.jit.kernel_cache import KernelCache, kernel_folder, source_digest
+from ggavatar.jit.kernel_cache import PACKAGES, KernelCache, kernel_folder, source_digest
 
 CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else kernel_folder()
 """The folder for compiled kernels; None leaves it to numba, where the user chose one."""
@@ -55,7 +55,7 @@ class _CompilationListener(Listener):
 
     def on_start(self, event: Event) -> None:
         module = event.data["dispatcher"].py_func.__module__ or ""
-        if module.split(".")[0] in ("ggavatar", "preprocess", "evaluate"):
+        if module.split(".")[0] in PACKAGES:
             announce("kernels")
 
     def on_end(self, event: Event) -> None:

@@ -124,8 +124,10 @@ def differentiate_all(
     count, chunks = cloud.rows, -(-cloud.rows // CHUNK)
     means, quats, scales, opacities, means2d = (padded(count, *columns) for columns in ((3,), (4,), (3,), (), (2,)))
     colors, poses = torch.empty(cloud.colors.size), np.zeros((chunks, POSE_SUMS), np.float32)
-    padded_memory = [memory_of(tensor) for tensor in (means, quats, scales, opacities)]
-    gradients = Gradients(*padded_memory, flat(colors), memory_of(means2d), poses.reshape(-1))
+    gradients = Gradients(
+        *(memory_of(means), memory_of(quats), memory_of(scales), memory_of(opacities)),
+        *(flat(colors), memory_of(means2d), poses.reshape(-1)),
+    )
     scratches = _floats(max_workers() * GRADIENT_SCRATCH)
     run_workers(differentiate_chunks, chunks, scratches, cloud, view, footprints, bins, slots, gradients)
     return (means, quats, scales, opacities, colors, means2d), poses.astype(np.float64).sum(0)

@@ -1,7 +1,4 @@
-"""Where model files are looked for, in which order, and what is refused. Nothing is fetched.
-
-The network is replaced.
-"""
+"""Where model files are searched, in which order, and what is refused; the network is replaced by a stub."""
 
 from __future__ import annotations
 
