@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import platformdirs
-
 
 def cache_folder(name: str) -> Path:
     """The cache folder `name`, which need not exist: `$GGAVATAR_CACHE/ggavatar/<name>`, else in the user's cache.
@@ -16,4 +14,6 @@ def cache_folder(name: str) -> Path:
     """
     if chosen := os.environ.get("GGAVATAR_CACHE"):
         return Path(chosen) / "ggavatar" / name
+    import platformdirs
+
     return platformdirs.user_cache_path("ggavatar", appauthor=False) / name
