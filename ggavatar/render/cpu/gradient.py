@@ -85,12 +85,8 @@ class Gradients(NamedTuple):
 def differentiate_chunks(tickets, scratches, cloud, view, footprints, bins, slots, gradients):
     """Kernel of one worker: differentiate chunks of Gaussians until none is left."""
     scratch = pointer(scratches, take_ticket(tickets, 1) * GRADIENT_SCRATCH)
-    cloud, view, footprints, bins = (
-        cloud_pointers(cloud),
-        pointer(view, 0),
-        footprint_pointers(footprints),
-        bin_pointers(bins),
-    )
+    cloud, view, footprints = cloud_pointers(cloud), pointer(view, 0), footprint_pointers(footprints)
+    bins = bin_pointers(bins)
     slots, gradients, count = pointer(slots, 0), gradient_pointers(gradients), cloud.rows
     chunks = (count + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)

@@ -96,13 +96,8 @@ class _Rasterize(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
         ctx.save_for_backward(pose, *inputs, image, transmittance, depth)
-        ctx.constants, ctx.view, ctx.footprints, ctx.bins, ctx.hits_ends = (
-            constants,
-            view,
-            footprints,
-            bins,
-            (hits, ends),
-        )
+        ctx.constants, ctx.view, ctx.footprints = constants, view, footprints
+        ctx.bins, ctx.hits_ends = bins, (hits, ends)
         return cropped(image, constants), cropped(alpha, constants), cropped(depth, constants), radii
 
     @staticmethod
