@@ -17,7 +17,7 @@ from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import FramePair, pair_folders
 from evaluate.scoring.score import learned_metrics, score
 from ggavatar.io.images import write_png
-from ggavatar.io.ordered_map import cores
+from ggavatar.io.ordered_map import available_cores
 from ggavatar.pretrained.folders import model_folders
 
 PAIRS, SIZE = 200, 512
@@ -65,7 +65,7 @@ def memory(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> di
 def run(options: argparse.Namespace) -> dict[str, object]:
     """Measure both sets of metrics; LPIPS is skipped without its weights ($GGAVATAR_MODELS)."""
     count, size = (QUICK_PAIRS, QUICK_SIZE) if options.quick else (PAIRS, SIZE)
-    workers = options.threads or cores()
+    workers = options.threads or available_cores()
     with tempfile.TemporaryDirectory() as folder, threads(workers):
         pairs = write_pairs(Path(folder), count, size)
         calls = {name: call for name, names in METRICS.items() if (call := scoring(pairs, names, workers))}

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ggavatar.io.ordered_map import cores
+from ggavatar.io.ordered_map import available_cores
 
 
 @dataclass(frozen=True)
@@ -93,13 +93,13 @@ def _status(field: str) -> float:
 
 
 def environment() -> dict[str, object]:
-    """Processor, instruction set, cores, load and versions."""
+    """Processor, instruction set, available_cores, load and versions."""
     return {
         "python": platform.python_version(),
         "machine": platform.machine(),
         "processor": _processor(),
         "instruction_set": _instruction_set(),
-        "cores": cores(),
+        "cores": available_cores(),
         "load_average": [round(value, 2) for value in os.getloadavg()] if hasattr(os, "getloadavg") else None,
         "date": time.strftime("%Y-%m-%d"),
         "versions": {name: _version(name) for name in ("torch", "numba", "llvmlite", "numpy", "ggavatar")},

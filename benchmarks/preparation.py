@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.io.ordered_map import cores
+from ggavatar.io.ordered_map import available_cores
 from preprocess.pipeline.pipeline import STAGES
 
 CLIP = "talk_450.mp4"
@@ -175,4 +175,11 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         ]
         long = memory(clip, folder, lengths, QUICK_FRAMES if quick else 500)
     speed = sorted(rounds, key=lambda each: each["seconds"])[len(rounds) // 2]
-    return {"clip": CLIP, "size": 512, "cores": cores(), "median_round": speed, "rounds": rounds, "wide": long}
+    return {
+        "clip": CLIP,
+        "size": 512,
+        "cores": available_cores(),
+        "median_round": speed,
+        "rounds": rounds,
+        "wide": long,
+    }

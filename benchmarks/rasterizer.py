@@ -11,7 +11,7 @@ from benchmarks import torch_tiled
 from benchmarks.measure import Timing, interleaved, peak_extra_megabytes, threads
 from benchmarks.scenes import FIELDS, head
 from ggavatar.core import Camera, Gaussians, Rasterizer
-from ggavatar.io.ordered_map import cores
+from ggavatar.io.ordered_map import available_cores
 from ggavatar.render import reference
 from ggavatar.render.cpu import rasterizer
 
@@ -101,5 +101,5 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     """Measure the memory of a step, before anything else grows the heap, and then time all scenes."""
     scenes, largest = (QUICK_SCENES, QUICK_SCENES[-1]) if options.quick else (SCENES, MEMORY_SCENE)
     used = memory(*largest)
-    rounds, wall_threads = options.repeats or 5, options.threads or cores()
+    rounds, wall_threads = options.repeats or 5, options.threads or available_cores()
     return {"memory": used, "scenes": [compare(count, size, rounds, wall_threads) for count, size in scenes]}

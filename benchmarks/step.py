@@ -12,7 +12,7 @@ from benchmarks.measure import Timing, interleaved, threads
 from benchmarks.step_scene import StepScene
 from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
-from ggavatar.io.ordered_map import cores
+from ggavatar.io.ordered_map import available_cores
 from ggavatar.losses.dssim import image_terms, image_terms_in_torch
 from ggavatar.losses.terms import position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
 from ggavatar.networks.fields import HashTriplane, lookup_in_torch
@@ -136,7 +136,7 @@ def whole_steps(scene: StepScene, rounds: int) -> dict[str, object]:
 
 def run(options: argparse.Namespace) -> dict[str, object]:
     """Measure components on one thread, and whole steps on one thread and on all cores."""
-    wall_threads, rounds = options.threads or cores(), options.repeats or 7
+    wall_threads, rounds = options.threads or available_cores(), options.repeats or 7
     scene = StepScene(QUICK_COUNT, QUICK_SIZE) if options.quick else StepScene(COUNT, SIZE)
     with threads(1):
         result: dict[str, object] = {"one_thread": whole_steps(scene, 3 * rounds), "pieces": compare(scene, rounds)}

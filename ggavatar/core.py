@@ -1,6 +1,6 @@
-"""The values that travel through GGAvatar, and the two protocols a backend and a method fulfil. No disk, no device.
+"""The values that all of GGAvatar exchanges, and the protocols of a rasterizer and of a method. No disk, no device.
 
-Units and axes (docs/conventions.md): metres, radians, pixels with centres at +0.5, OpenCV cameras, quaternions wxyz,
+Units and axes (docs/conventions.md): meters, radians, pixels with centers at +0.5, OpenCV cameras, quaternions wxyz,
 sRGB in [0, 1].
 """
 
@@ -21,7 +21,7 @@ class Camera:
 
     Attributes:
         intrinsics: Focal lengths and principal point, px; the third row is 0, 0, 1 and there is no skew.
-        world_to_camera: Rigid transform from world metres to camera metres.
+        world_to_camera: Rigid transform from world meters to camera meters.
         width: Image width, px.
         height: Image height, px.
     """
@@ -45,13 +45,13 @@ class Drive:
         expression: Expression coefficients of the head model, unit of its basis.
         joint_rotations: Axis-angle of every joint in the head's order (FLAME: root, neck, jaw, left eye, right eye),
             rad.
-        eyelids: Closing of the left and the right lid; 0 is open as in the template, 1 is closed.
-        translation: Of the whole head after posing, m.
-        head_to_camera: Rigid pose of the head seen from the camera. With a tracker that puts the head pose into the
-            camera this is `world_to_camera`; methods that need the pose as a condition read it here.
-        frame: Source frame number, or None for a drive that no frame was trained on.
-        torso_to_camera: Rigid pose of the torso seen from the camera, that of the head when both are at rest; None
-            where nobody followed it.
+        eyelids: Closing of the left and the right lid; 0 is as open as in the template, 1 is closed.
+        translation: Translation of the whole head after posing, m.
+        head_to_camera: Rigid pose of the head in camera space. With a tracker that stores the head pose in the camera
+            it equals `world_to_camera`; methods that need the pose as a condition read it here.
+        frame: Source frame number, or None for a drive that belongs to no frame of the capture.
+        torso_to_camera: Rigid pose of the torso in camera space, equal to that of the head when both are at rest; None
+            if the torso was not tracked.
     """
 
     expression: Float[Tensor, " E"]
@@ -68,8 +68,8 @@ class Frame:
     """One training or test frame, already composited on the background.
 
     Attributes:
-        drive: What moves the head.
-        camera: Where it is seen from.
+        drive: What animates the head.
+        camera: The camera that took the frame.
         image: sRGB in [0, 1].
         alpha: Foreground coverage in [0, 1].
     """
@@ -85,11 +85,11 @@ class Gaussians:
     """3D Gaussians in world space, activated (no logits, no logarithms).
 
     Attributes:
-        means: Centres, m.
-        quats: Rotations, wxyz; need not be normalised.
+        means: Centers, m.
+        quats: Rotations as quaternions wxyz, which need not be normalized.
         scales: Standard deviations along the local axes, m, positive.
         opacities: In [0, 1].
-        colors: Either RGB [N, 3], or spherical harmonics [N, K, 3] with K = 1, 4, 9 or 16, where colour = max(0,
+        colors: Either RGB [N, 3], or spherical harmonics [N, K, 3] with K = 1, 4, 9 or 16, where color = max(0,
             SH(direction) + 0.5).
         sh_degree: Highest degree to evaluate (0 to 3); None means all that `colors` holds. Ignored for RGB.
     """
@@ -104,13 +104,13 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a rasteriser returns.
+    """What a rasterizer returns for a drive's Gaussians and a camera.
 
     Attributes:
-        image: Composited on the background; may exceed 1 where colours do.
+        image: Composited on the background; may exceed 1 where colors do.
         alpha: 1 − final transmittance.
         depth: Alpha-weighted sum of camera z, m (divide by alpha for the expected depth).
-        means2d: Projected centres, px. After `backward()` its `.grad` holds ∂loss/∂means2d in px (zero for culled
+        means2d: Projected centers, px. After `backward()` its `.grad` holds ∂loss/∂means2d in 1/px (zero for culled
             Gaussians).
         radii: Half of the larger side of the box in which alpha ≥ 1/255, px; 0 for culled Gaussians.
     """
@@ -127,7 +127,7 @@ class Rasterizer(Protocol):
     """A differentiable renderer of Gaussians; `ggavatar.render.backends` returns one."""
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, "3"]) -> Rendering:
-        """Draw `gaussians` as seen by `camera` on a constant background colour."""
+        """Render `gaussians` as seen by `camera` on a constant background color."""
         ...
 
 
@@ -143,13 +143,13 @@ class Avatar(Protocol):
         ...
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """Weighted terms of the objective by name; their sum is minimised and each is logged."""
+        """Weighted terms of the objective by name; their sum is minimized, and each is logged."""
         ...
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """The optimisers to step, rates as of the current step."""
+        """The optimizers to step, with the learning rates of the current step."""
         ...
 
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Called after the optimisers have stepped: density control, rates and stages of step + 1."""
+        """Density control, and the learning rates and schedules of step + 1; called after the optimizers' step."""
         ...

@@ -1,4 +1,4 @@
-"""Exceptions for what the user gave, the exit codes of the commands, and the nearest known name."""
+"""Exceptions for invalid input and failed checks, the exit codes of the commands, and name suggestions."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import difflib
 from collections.abc import Collection
 
 EXIT_FAILURE, EXIT_USAGE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 3, 130, 143
+"""A crash or failed cell, invalid input or flags, a failed check, Ctrl-C (SIGINT), and SIGTERM."""
 
 
 class InputError(ValueError):
-    """Something the user gave is not usable; says what was expected, what was found, where, and what to do next."""
+    """The user's input cannot be used; the message says what was expected, what was found, where, and what to do."""
 
 
 class GateError(Exception):
-    """A regression gate, a strict doctor or another check the user asked for has failed (exit code 3)."""
+    """A check that the user asked for has failed: a regression gate, or the strict doctor (exit code 3)."""
 
 
 def nearest(name: str, known: Collection[str]) -> str:
-    """' (did you mean …?)' if something known is close, else nothing."""
+    """' (did you mean …?)' with the closest known name, or an empty string if none is close."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
     return f" (did you mean {close[0]}?)" if close else ""

@@ -12,9 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
+from ggavatar.io.digests import sha256_of
 from ggavatar.landmarks.blendshapes import NAMES
-from ggavatar.landmarks.tracker import LEFT_EYE_OUTER, RIGHT_EYE_OUTER, LandmarkTracker
-from ggavatar.pretrained.lpips import NO_WEIGHTS, VARIABLE, first_file, sha256_of
+from ggavatar.landmarks.crop_region import LEFT_EYE_OUTER, RIGHT_EYE_OUTER
+from ggavatar.landmarks.tracker import LandmarkTracker
+from ggavatar.pretrained.folders import MODELS_VARIABLE, first_file
+from ggavatar.pretrained.lpips import NO_WEIGHTS
 
 BUNDLE = "face_landmarker.task"
 """MediaPipe's face landmarker, also used by ggavatar-prep: 478 landmarks and 52 expression scores."""
@@ -64,7 +67,7 @@ class FaceMetrics:
         if "identity" in names and not recognizer:
             absent["identity"] = RECOGNIZER
         self.missing = {
-            name: f"{NO_WEIGHTS}: {file} not found; put it into ${VARIABLE} or pass --models DIR"
+            name: f"{NO_WEIGHTS}: {file} not found; put it into ${MODELS_VARIABLE} or pass --models DIR"
             for name, file in absent.items()
         }
         self._names = [name for name in names if name not in self.missing]

@@ -17,7 +17,8 @@ from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
 from ggavatar.errors import InputError
-from ggavatar.pretrained.lpips import LpipsFiles, find_lpips, sha256_of
+from ggavatar.io.digests import sha256_of
+from ggavatar.pretrained.lpips import LpipsFiles, find_lpips
 
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Published constants that normalize RGB in [-1, 1] to the statistics of ImageNet."""

@@ -19,7 +19,7 @@ from evaluate.scoring.accumulator import Accumulator, FrameScores, Labels
 from evaluate.scoring.frame_pairs import FramePair
 from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
-from ggavatar.io.ordered_map import cores, ordered_map
+from ggavatar.io.ordered_map import available_cores, ordered_map
 
 Progress = Callable[[int, int], None]
 
@@ -75,7 +75,7 @@ def score(
     def work(pair: FramePair) -> FrameScores:
         return score_pair(pair, protocol, learned, faces)
 
-    for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, cores())), start=1):
+    for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, available_cores())), start=1):
         accumulator.add(scored)
         if progress:
             progress(done, len(pairs))

@@ -13,9 +13,9 @@ from numpy import ndarray
 
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import load, pointer, store_columns, take_ticket, transpose
-from ggavatar.jit.quaternions import conjugate, from_matrix, inverse_length, product, row, scaled, through_normalisation
+from ggavatar.jit.quaternions import conjugate, from_matrix, inverse_length, normalize_backward, product, row, scaled
 from ggavatar.jit.simd import LANES, exp, maximum, sqrt
-from ggavatar.jit.threads import share
+from ggavatar.jit.threads import run_workers
 from ggavatar.jit.vectors import columns_3, columns_4, dot
 
 CHUNK = 2048
@@ -108,7 +108,7 @@ def return_group(local, face, first, last, upstream, world_scales, gradient):
     own = columns_4(local.quats, first, last)
     inverse = one_over_length(own)
     turned = product(conjugate(face[12:16]), columns_4(upstream.quats, first, last))
-    store_columns(gradient.quats, first * 4, through_normalisation(turned, scaled(own, inverse), inverse))
+    store_columns(gradient.quats, first * 4, normalize_backward(turned, scaled(own, inverse), inverse))
 
 
 @inlined
@@ -182,11 +182,11 @@ def quats_in(records: Floats) -> Floats:
 
 def place(local: Geometry, index: Indices, records: Floats, world: Geometry) -> None:
     """Fill in the world's geometry of all Gaussians; its memory is for a multiple of sixteen rows."""
-    share(place_chunks, -(-len(index) // CHUNK), local, index, records, world)
+    run_workers(place_chunks, -(-len(index) // CHUNK), local, index, records, world)
 
 
 def give_back(
     local: Geometry, index: Indices, records: Floats, upstream: Geometry, world_scales: Floats, gradient: Geometry
 ) -> None:
     """Fill in the gradients by the local geometry of all Gaussians; their memory is for a multiple of sixteen rows."""
-    share(return_chunks, -(-len(index) // CHUNK), local, index, records, upstream, world_scales, gradient)
+    run_workers(return_chunks, -(-len(index) // CHUNK), local, index, records, upstream, world_scales, gradient)

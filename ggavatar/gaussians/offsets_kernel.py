@@ -7,9 +7,9 @@ import numpy as np
 from ggavatar.gaussians.binding_kernel import CHUNK, Floats, Geometry, bare, one_over_length
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import gather_rows, load_rows, pointer, store_columns, store_rows_10, take_ticket, transpose
-from ggavatar.jit.quaternions import conjugate, product, scaled, through_normalisation
+from ggavatar.jit.quaternions import conjugate, normalize_backward, product, scaled
 from ggavatar.jit.simd import LANES, exp, fma, splat
-from ggavatar.jit.threads import share
+from ggavatar.jit.threads import run_workers
 from ggavatar.jit.vectors import columns_3, columns_4
 
 
@@ -70,7 +70,7 @@ def return_group(placed, offsets, unit, rows, upstream, gradient):
     rotation = scaled(turn, inverse)
     store_columns(gradient.quats, first * 4, product(conjugate(rotation), g4))
     to_rotation = product(g4, conjugate(columns_4(placed.quats, first, last)))
-    to_turn = through_normalisation(to_rotation, rotation, inverse)
+    to_turn = normalize_backward(to_rotation, rotation, inverse)
     return (
         m[0] * unit, m[1] * unit, m[2] * unit,
         to_turn[0], to_turn[1], to_turn[2], to_turn[3],
@@ -93,7 +93,7 @@ def columns_10(array, first, last, width):
 
 def refine(placed: Geometry, offsets: Floats, unit: float, refined: Geometry) -> None:
     """Fill in the refined geometry of all Gaussians; its memory is for a multiple of sixteen rows."""
-    share(refine_chunks, -(-len(offsets) // CHUNK), placed, offsets, np.float32(unit), refined)
+    run_workers(refine_chunks, -(-len(offsets) // CHUNK), placed, offsets, np.float32(unit), refined)
 
 
 def give_back(
@@ -101,4 +101,4 @@ def give_back(
 ) -> None:
     """Fill in the gradients of all Gaussians, `gradient.means` excepted; its memory as that of `refine`."""
     pieces = -(-len(offsets) // CHUNK)
-    share(return_chunks, pieces, placed, offsets, np.float32(unit), upstream, gradient, to_offsets)
+    run_workers(return_chunks, pieces, placed, offsets, np.float32(unit), upstream, gradient, to_offsets)

@@ -1,4 +1,4 @@
-"""Local frames of triangles: where, which way round and how large."""
+"""Local frames of triangles: position, orientation and size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ggavatar.jit.dispatch import compiled_for
 
 
 class TriangleFrames(NamedTuple):
-    """Local frames of triangles (GGAvatar Eq. 4–5)."""
+    """Local frames of triangles (GGAvatar Eq. 4–5): centers in m, rotation matrices, and sizes in m."""
 
     centers: Float[Tensor, "F 3"]
     rotations: Float[Tensor, "F 3 3"]
@@ -23,22 +23,23 @@ class TriangleFrames(NamedTuple):
 def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
     """Centroid, orientation and size of every triangle.
 
-    The columns of the rotation are n0 = unit(a10), n1 = unit normal and n2 = n0 × n1. The size is (|a10| + |n2·a20|) /
-    2: an edge and the height over it. The paper prints |a20| for the edge; docs/paper.md (A1) says why |a10| is used.
+    Edges a10 and a20 start at the first corner. The columns of the rotation are n0 = unit(a10), n1 = the unit normal
+    and n2 = n0 × n1. The size is (|a10| + |n2·a20|) / 2, the mean of an edge and the height over it. The paper prints
+    |a20| for the edge; docs/paper.md (A1) says why |a10| is used.
 
     Args:
         vertices: Positions, m.
         faces: Vertex indices, counter-clockwise seen from outside.
 
     Returns:
-        Centres in m, rotations with determinant 1 and sizes in m. A triangle without area gets a valid rotation and
-        its edge's half length.
+        Centers in m, rotations with determinant 1, and sizes in m. A triangle without area gets a valid rotation and
+        half its edge's length as size.
 
     References:
         GGAvatar (Li et al. 2024), Eq. 4–5; GaussianAvatars (Qian et al. 2024), Sec. 3.2.
     """
     if (vertices.requires_grad and torch.is_grad_enabled()) or not compiled_for(vertices, faces):
-        return frames_in_torch(vertices, faces)
+        return triangle_frames_torch(vertices, faces)
     from ggavatar.geometry.triangles_kernel import fill_frames
 
     count = len(faces)
@@ -49,7 +50,7 @@ def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
     return frames
 
 
-def frames_in_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
+def triangle_frames_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
     """`triangle_frames` in plain torch: any dtype and device, differentiable."""
     # The gradient of `vertices[faces]` would be added by several threads in any order; this one is added in order.
     corner_0, corner_1, corner_2 = vertices.index_select(0, faces.flatten()).unflatten(0, faces.shape).unbind(1)
@@ -66,7 +67,7 @@ def frames_in_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
 
 
 def _unit_or(vectors: Tensor, fallback: Tensor | tuple[float, float, float]) -> Tensor:
-    """Unit vectors, with `fallback` (normalised) where the length is zero."""
+    """Normalize vectors, substituting `fallback` (normalized) where the length is zero."""
     length = vectors.norm(dim=-1, keepdim=True)
     other = torch.as_tensor(fallback, dtype=vectors.dtype, device=vectors.device)
     return torch.where(length > 1e-20, vectors / length.clamp_min(1e-20), normalize(other, dim=-1).expand_as(vectors))

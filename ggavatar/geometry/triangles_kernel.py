@@ -1,4 +1,4 @@
-"""Frames of triangles in one pass over the faces (compiled; twin: `geometry.frames_in_torch`)."""
+"""Triangle frames in one pass over the faces; compiled twin of `ggavatar.geometry.triangles.triangle_frames_torch`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from ggavatar.jit.kernels import inlined, kernel
 
-TINY = np.float32(1e-20)
-"""Length from which a direction counts as one."""
+MIN_LENGTH = np.float32(1e-20)
+"""A vector that is not longer than this has no direction."""
 
 
 @inlined
@@ -29,33 +29,33 @@ def _scaled(factor, a):
 
 @inlined
 def _unit(a):
-    """A direction at length 1; zero if it is shorter than any that counts."""
+    """The vector at length 1, or zero if it has no direction, and its length."""
     length = np.float32(math.sqrt(_dot(a, a)))
-    return _scaled(np.float32(1) / length if length > TINY else np.float32(0), a), length
+    return _scaled(np.float32(1) / length if length > MIN_LENGTH else np.float32(0), a), length
 
 
 @inlined
 def _normal(axis, edge):
-    """Unit vector across `axis` and `edge`; any across `axis` where the triangle has no area."""
+    """Unit vector perpendicular to `axis` and `edge`; any one perpendicular to `axis` if the triangle has no area."""
     normal, length = _unit(_cross(axis, edge))
-    if length <= TINY:
+    if length <= MIN_LENGTH:
         x, y, z = axis
         normal, _ = _unit(_cross(axis, (z + np.float32(0.3), x - np.float32(0.2), y + np.float32(0.1))))
     along = _dot(normal, axis)
-    straight = normal[0] - along * axis[0], normal[1] - along * axis[1], normal[2] - along * axis[2]
-    return _unit(straight)[0]
+    perpendicular = normal[0] - along * axis[0], normal[1] - along * axis[1], normal[2] - along * axis[2]
+    return _unit(perpendicular)[0]
 
 
 @kernel
 def fill_frames(vertices, faces, centers, rotations, scales):
-    """Centres [F, 3], rotations [F, 3, 3] and sizes [F] of triangles [F, 3] of vertices [V, 3]."""
+    """Write centers [F, 3], rotations [F, 3, 3] and sizes [F] of the triangles `faces` [F, 3] of `vertices` [V, 3]."""
     third, half = np.float32(1 / 3), np.float32(0.5)
     for face in range(faces.shape[0]):
         first, second, last = vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
         edge_10 = second[0] - first[0], second[1] - first[1], second[2] - first[2]
         edge_20 = last[0] - first[0], last[1] - first[1], last[2] - first[2]
         axis_0, length = _unit(edge_10)
-        if length <= TINY:
+        if length <= MIN_LENGTH:
             axis_0 = np.float32(1), np.float32(0), np.float32(0)
         axis_1 = _normal(axis_0, edge_20)
         axis_2 = _cross(axis_0, axis_1)

@@ -1,10 +1,10 @@
-"""Points that stick to a mesh, one a texel: of the head's own texture layout, or of one that is made for it.
+"""Points attached to a mesh, one per texel: of the head's own UV layout, or of one that is generated for it.
 
-FlashAvatar samples FLAME's texture: every texel that a triangle covers stores this triangle and its barycentric place
-in it. The network never sees texture coordinates, so all that a layout decides is how densely which skin is sampled.
-A head without a layout therefore gets the plainest one that is free of overlaps and seams: its triangles are laid end
-to end, along a curve through the neutral surface, into one strip that the texels divide evenly. Each triangle takes
-room by its area, and less if no training frame can show it, as artists do with the back of a head.
+FlashAvatar samples FLAME's texture: every texel that a triangle covers stores the triangle and its barycentric
+coordinates in it. The network never sees texture coordinates, so a layout only decides how densely each part of the
+skin is sampled. A head without a layout therefore gets the simplest one that has no overlaps and no seams: its
+triangles are laid end to end, along a curve through the neutral surface, in one strip that the texels divide evenly.
+Each triangle takes a share by its area, and less if no training frame can show it, as in layouts made by artists.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from torch import Tensor
 from ggavatar.core import Camera
 from ggavatar.geometry.transforms import project
 
-GOLDEN = 0.6180339887498949
-"""Fraction of the golden ratio, whose multiples spread most evenly in [0, 1]."""
+GOLDEN_RATIO_FRACTION = 0.6180339887498949
+"""Fractional part of the golden ratio; its multiples modulo 1 are spread evenly over [0, 1)."""
 
 
 class SurfaceSamples(NamedTuple):
-    """Places on a mesh.
+    """Points on a mesh, as barycentric coordinates.
 
     Attributes:
         face: Triangle of each sample.
-        weights: Barycentric weights of its corners; not negative, sum 1.
+        weights: Barycentric weights of its corners; nonnegative, sum 1.
     """
 
     face: Int[Tensor, " N"]
     weights: Float[Tensor, "N 3"]
 
     def points(self, vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N 3"]:
-        """The samples on a mesh with these vertices, in their unit."""
+        """Positions of the samples on a mesh with these vertices, in the vertices' unit."""
         corners = vertices[faces[self.face]]
         return (self.weights[:, :, None] * corners).sum(1)
 
 
 def texel_samples(uv: Float[Tensor, "F 3 2"], side: int) -> SurfaceSamples:
-    """One sample for each of `side` × `side` texels whose centre a triangle of the layout covers, row by row.
+    """One sample for each of `side` × `side` texels whose center a triangle of the UV layout covers, row by row.
 
     Args:
-        uv: Texture coordinates of every corner in [0, 1].
+        uv: Texture coordinates of every corner, in [0, 1].
         side: Texels along an edge of the texture.
 
     Returns:
-        Where triangles overlap, the first of them has the texel.
+        The samples; where triangles overlap, the texel belongs to the first of them.
     """
     grid = uv.double().cpu() * side
     face, texel = _candidates(grid, side)
@@ -65,18 +65,18 @@ def texel_samples(uv: Float[Tensor, "F 3 2"], side: int) -> SurfaceSamples:
 
 
 def _candidates(grid: Float[Tensor, "F 3 2"], side: int) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
-    """Pairs of a triangle and a texel (row-major) within its bounds."""
+    """Pairs of a triangle and a texel (row-major index) within the triangle's bounding box."""
     low = (grid.amin(1) - 0.5).ceil().clamp(0, side).long()
     size = ((grid.amax(1) - 0.5).floor().clamp(-1, side - 1).long() - low + 1).clamp_min(0)
     count = size.prod(-1)
     face = torch.arange(len(grid)).repeat_interleave(count)
-    place = torch.arange(len(face)) - (count.cumsum(0) - count)[face]
+    offset = torch.arange(len(face)) - (count.cumsum(0) - count)[face]
     width = size[face, 0]
-    return face, (low[face, 1] + place // width) * side + low[face, 0] + place % width
+    return face, (low[face, 1] + offset // width) * side + low[face, 0] + offset % width
 
 
 def _barycentric(corners: Float[Tensor, "M 3 2"], points: Float[Tensor, "M 2"]) -> Float[Tensor, "M 3"]:
-    """Weights of plane points; −1 in triangles without area."""
+    """Barycentric weights of points in the plane; −1 in triangles without area."""
     a, b, c = corners.unbind(1)
     area = _cross(b - a, c - a)
     parts = torch.stack((_cross(c - b, points - b), _cross(a - c, points - c), _cross(b - a, points - a)), dim=-1)
@@ -91,29 +91,30 @@ def _cross(a: Float[Tensor, "M 2"], b: Float[Tensor, "M 2"]) -> Float[Tensor, " 
 def strip_samples(
     vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], room: Float[Tensor, " F"], count: int
 ) -> SurfaceSamples:
-    """`count` samples that share the strip of all triangles evenly.
+    """`count` samples, evenly spaced along the strip of all triangles.
 
-    Within a triangle the place along the strip and multiples of the golden ratio make a lattice, which is even in area.
+    Within a triangle, the position along the strip and multiples of the golden ratio form a lattice that is uniform in
+    area.
 
     Args:
         vertices: Neutral positions, m.
-        faces: Triangles.
-        room: What each takes of the strip, any unit; 0 is left out.
+        faces: Vertex indices.
+        room: Length that each triangle takes of the strip, any unit; triangles with 0 get no samples.
         count: Number of samples; each triangle gets its share of them, rounded up or down.
     """
-    order = along_curve(vertices[faces].mean(1))
+    order = morton_order(vertices[faces].mean(1))
     ends = room[order].double().cumsum(0)
     ticks = (torch.arange(count, dtype=torch.float64, device=room.device) + 0.5) / count * ends[-1]
     slot = torch.searchsorted(ends, ticks, right=True).clamp_max(len(order) - 1)
     face = order[slot]
     along = ((ticks - ends[slot]) / room[face].double() + 1).clamp(0, 1).sqrt()
-    across = (torch.arange(count, dtype=torch.float64, device=room.device) * GOLDEN) % 1
+    across = (torch.arange(count, dtype=torch.float64, device=room.device) * GOLDEN_RATIO_FRACTION) % 1
     weights = torch.stack((1 - along, along * (1 - across), along * across), dim=-1)
     return SurfaceSamples(face, weights.to(vertices.dtype))
 
 
-def along_curve(points: Float[Tensor, "N 3"], bits: int = 10) -> Int[Tensor, " N"]:
-    """Order of points along a Z-shaped curve that fills their bounding cube (Morton 1966); neighbours stay close."""
+def morton_order(points: Float[Tensor, "N 3"], bits: int = 10) -> Int[Tensor, " N"]:
+    """Order of points along the Z-order curve of their bounding cube (Morton 1966), which keeps neighbors close."""
     low = points.amin(0)
     cells = ((points - low) / (points.amax(0) - low).max().clamp_min(1e-12) * (2**bits - 1)).long()
     code = torch.zeros(len(points), dtype=torch.int64, device=points.device)
@@ -124,37 +125,37 @@ def along_curve(points: Float[Tensor, "N 3"], bits: int = 10) -> Int[Tensor, " N
 
 
 def face_areas(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, " F"]:
-    """Areas of triangles, m² for vertices in m."""
+    """Areas of triangles, m² for vertices in m (`trimesh.triangles.area` for torch tensors)."""
     a, b, c = vertices[faces].unbind(1)
     return torch.linalg.cross(b - a, c - a).norm(dim=-1) / 2
 
 
-def ever_facing(
+def camera_facing(
     posed: Sequence[Float[Tensor, "V 3"]], cameras: Sequence[Camera], faces: Int[Tensor, "F 3"]
 ) -> Bool[Tensor, " F"]:
-    """Triangles that face the camera, a corner within the image, in one of these views, whatever hides them.
+    """Which triangles face the camera with a corner in the image in at least one view; occlusion is ignored.
 
     Args:
         posed: World vertices of each view, m.
         cameras: The camera of each view.
-        faces: Triangles, counter-clockwise from outside.
+        faces: Vertex indices, counter-clockwise seen from outside.
     """
     found = torch.zeros(len(faces), dtype=torch.bool, device=faces.device)
     for vertices, camera in zip(posed, cameras, strict=True):
         pose = camera.world_to_camera
         a, b, c = (vertices @ pose[:3, :3].T + pose[:3, 3])[faces].unbind(1)
-        towards = (torch.linalg.cross(b - a, c - a) * a).sum(-1) < 0
+        front_facing = (torch.linalg.cross(b - a, c - a) * a).sum(-1) < 0
         pixel = project(vertices, camera.intrinsics, pose)
         limit = pixel.new_tensor([camera.width, camera.height])
-        found |= towards & ((pixel >= 0) & (pixel < limit)).all(-1)[faces].any(-1) & (a[:, 2] > 0)
+        found |= front_facing & ((pixel >= 0) & (pixel < limit)).all(-1)[faces].any(-1) & (a[:, 2] > 0)
     return found
 
 
-def open_rim(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Bool[Tensor, " F"]:
-    """Triangles that touch the lowest open border of the mesh, where neck or bust are cut off; none if it is closed."""
+def lower_boundary(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Bool[Tensor, " F"]:
+    """Which triangles touch the lowest boundary loop, where neck or bust end; none if the mesh is closed."""
     edges = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
-    kinds, number = torch.unique(edges.sort(-1).values, dim=0, return_counts=True)
-    border = kinds[number == 1]
+    unique_edges, number = torch.unique(edges.sort(-1).values, dim=0, return_counts=True)
+    border = unique_edges[number == 1]
     touched = torch.zeros(len(vertices), dtype=torch.bool, device=faces.device)
     if len(border):
         touched[border[vertices[border].mean(1)[:, 1].argmin()]] = True

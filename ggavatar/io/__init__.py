@@ -1,1 +1,1 @@
-"""Files in and out: arrays, images, JSON, pickles of others; bounded, checked, atomic."""
+"""File input and output: arrays, images, JSON, foreign pickles; of bounded size, checked, written atomically."""

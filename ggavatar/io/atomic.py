@@ -1,4 +1,4 @@
-"""Atomic writes: a file appears complete or not at all."""
+"""Atomic file writes: a file appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import IO
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object], durable: bool = True) -> None:
-    """Call `write` with a temporary file beside `path` and rename it; on any failure the old file stays.
+    """Let `write` fill a temporary file beside `path` and rename it to `path`; on any failure the old file stays.
 
     Args:
-        path: The file to appear.
+        path: The file to write; its folder is created.
         write: Receives the open temporary file.
         durable: Wait until the disk has the bytes, so that even a power cut leaves the old file or the new one.
     """
@@ -38,7 +38,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _umask() -> int:
-    """The process's file mode mask (the system offers no way to read it without setting it)."""
+    """The process's file mode creation mask, which POSIX can only read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

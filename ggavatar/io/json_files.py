@@ -7,21 +7,26 @@ from pathlib import Path
 from typing import Any
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_atomically
+from ggavatar.io.atomic import write_text
 
 MAX_JSON_BYTES = 1 << 26
+"""Largest JSON file that is read (64 MiB)."""
 
 
 def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
-    """A JSON object from a file of at most `limit` bytes; NaN and infinities are refused."""
+    """Read a JSON object from a file of at most `limit` bytes.
+
+    Raises:
+        InputError: No such file, larger than `limit`, not valid JSON, not an object, or holding NaN or infinity.
+    """
 
     def refuse(constant: str) -> float:
-        raise ValueError(f"{constant} is not a number JSON knows")
+        raise ValueError(f"{constant} is not a JSON number")
 
     try:
         size = path.stat().st_size
         if size > limit:
-            raise InputError(f"{path}: {size >> 20} MiB of JSON, the limit is {limit >> 20} MiB")
+            raise InputError(f"{path}: expected at most {limit >> 20} MiB of JSON, found {size >> 20} MiB")
         data = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{path}: no such file") from error
@@ -35,6 +40,5 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write JSON atomically."""
-    text = json.dumps(values, indent=1, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
+    """Write a JSON object atomically; NaN and infinity raise `ValueError`."""
+    write_text(path, json.dumps(values, indent=1, allow_nan=False) + "\n")

@@ -1,6 +1,6 @@
-"""Reading and writing npz archives of plain arrays.
+"""Reading and writing npz archives of plain arrays: no pickles, sizes checked before allocation, atomic writes.
 
-No pickled objects, no allocation before the sizes are known, atomic writes.
+`numpy.load` is not used: it allocates whatever shape an array header claims.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 import errno
 import zipfile
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -38,9 +39,10 @@ class ArrayHeader(NamedTuple):
 def npz_headers(path: Path) -> dict[str, ArrayHeader]:
     """Shapes and types of all arrays in an npz file.
 
-    `InputError` if it is not one or claims more than `MAX_ARCHIVE_BYTES`.
+    Raises:
+        InputError: The file is not an npz archive, or claims more than `MAX_ARCHIVE_BYTES`.
     """
-    with _opened(path) as archive:
+    with _open_archive(path) as archive:
         return {name: header for name, header, _ in _members(path, archive)}
 
 
@@ -49,16 +51,17 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, np.n
 
     Args:
         path: The file.
-        names: Arrays wanted; those that are absent are left out. None reads all.
+        names: Arrays to read; absent ones are left out. None reads all.
 
     Returns:
         Arrays by name, each owning its memory.
 
     Raises:
-        InputError: Not a zip, damaged, an array of Python objects, or larger than `MAX_ARCHIVE_BYTES` when unpacked.
+        InputError: The file is not a zip, is damaged, holds Python objects, or unpacks to more than
+            `MAX_ARCHIVE_BYTES`.
     """
     arrays = {}
-    with _opened(path) as archive:
+    with _open_archive(path) as archive:
         for name, header, info in _members(path, archive):
             if names is None or name in names:
                 arrays[name] = _read_member(path, archive, name, header, info)
@@ -72,35 +75,27 @@ def _read_member(
         with archive.open(info) as stream:
             array = npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
     except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError) as error:
-        raise InputError(f"{path}: array {name!r} cannot be read ({error}); make the file again") from error
+        raise InputError(f"{path}: array {name!r} cannot be read ({error}); create the file again") from error
     if array.shape != header.shape:
-        raise InputError(f"{path}: array {name!r} changed its shape while it was read; make the file again")
+        raise InputError(f"{path}: array {name!r} changed its shape while it was read; create the file again")
     return array
 
 
-class _opened:
-    """An open zip archive; anything wrong with the file becomes an `InputError`."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> zipfile.ZipFile:
-        try:
-            self._archive = zipfile.ZipFile(self._path)
-        except FileNotFoundError as error:
-            raise InputError(f"{self._path}: no such file") from error
-        except IsADirectoryError as error:
-            raise InputError(f"{self._path}: expected an npz file, found a folder") from error
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError, OSError) as error:
-            if isinstance(error, OSError) and error.errno != errno.EINVAL:  # entries before the beginning
-                raise
-            raise InputError(
-                f"{self._path}: expected an npz file, found something else or a damaged one ({error})"
-            ) from error
-        return self._archive
-
-    def __exit__(self, *_: object) -> None:
-        self._archive.close()
+@contextmanager
+def _open_archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open a zip archive; whatever is wrong with the file becomes an `InputError`."""
+    try:
+        archive = zipfile.ZipFile(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: expected an npz file, found a folder") from error
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError, OSError) as error:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: an entry lies before the file's start
+            raise
+        raise InputError(f"{path}: expected an npz file, found another file type or a damaged one ({error})") from error
+    with archive:
+        yield archive
 
 
 def _members(path: Path, archive: zipfile.ZipFile) -> list[tuple[str, ArrayHeader, zipfile.ZipInfo]]:
@@ -135,7 +130,7 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
         NotImplementedError,
         RuntimeError,
     ) as error:
-        raise InputError(f"{path}: entry {info.filename!r} is not an array ({error}); make the file again") from error
+        raise InputError(f"{path}: entry {info.filename!r} is not an array ({error}); create the file again") from error
     if dtype.hasobject:
         raise InputError(
             f"{path}: array {info.filename!r} holds Python objects, which could run code; only plain numbers and "
@@ -150,7 +145,7 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
 
 
 def write_npz(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays atomically: the file appears complete or not at all. The same arrays give the same bytes."""
+    """Write arrays atomically; the same arrays give the same bytes."""
     for name, array in arrays.items():
         if np.asarray(array).dtype.hasobject:
             raise ValueError(f"expected plain numbers or text for {name!r}, got dtype object")

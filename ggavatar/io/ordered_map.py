@@ -1,6 +1,7 @@
-"""A function over many items by a few threads, results in order: pictures are decoded and encoded while others wait.
+"""Apply a function to many items on a few threads and yield the results in order, for instance to decode images.
 
-OpenCV, zlib and the disk let go of Python's lock, so threads suffice.
+OpenCV, zlib and file access release the GIL, so threads suffice. `Executor.map` would take all items at once; here only
+a few are held at a time.
 """
 
 from __future__ import annotations
@@ -11,33 +12,37 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
-AHEAD = 2
-"""Results that may wait for their turn, beside one for each thread: what bounds the memory."""
+MAX_QUEUED_RESULTS = 2
+"""Results that may be queued in addition to one per thread; bounds the memory."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def cores() -> int:
-    """Cores this process may use."""
+def available_cores() -> int:
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def ordered_map(
-    function: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None, ahead: int = AHEAD
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    threads: int | None = None,
+    ahead: int = MAX_QUEUED_RESULTS,
 ) -> Iterator[Result]:
-    """Results of a function that threads may call at once, in the order of the items.
+    """Yield the results of a thread-safe function in the order of the items.
 
-    Items are taken in the caller's thread, a few ahead of the result that is asked for. The first exception ends it,
-    at the place of its item; items that were not begun by then, or when the caller stops asking, are dropped.
+    Items are taken in the caller's thread, a few ahead of the result that is requested. An exception is raised in place
+    of its item's result and ends the iteration; items not yet started then, or when the caller stops iterating, are
+    dropped.
 
     Args:
-        function: Called once for each item, from any thread.
+        function: Called once per item, from any thread.
         items: May be endless or expensive: only a few are held at a time.
         threads: One for each core by default.
         ahead: Results that may wait for their turn, beside one for each thread.
     """
-    threads = threads or cores()
+    threads = threads or available_cores()
     waiting: deque[Future[Result]] = deque()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="in-order")
     try:

@@ -1,7 +1,8 @@
-"""The one place that reads pickles (FLAME model files, metrical-tracker's `.frame`), without running what they say.
+"""Read pickles (FLAME model files, metrical-tracker's `.frame`) without running any code that they name.
 
 Every class a pickle may name is replaced by an inert stand-in defined here; numpy, scipy and chumpy are never called
-with what a file contains. Opcodes outside a short list are refused, and sizes are checked before arrays are made.
+with what a file contains. Opcodes outside a short list are refused, and sizes are checked before arrays are allocated.
+No other module unpickles.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ggavatar.errors import InputError
 MAX_PICKLE_BYTES = 1 << 29
 """Largest pickle that is read (512 MiB); FLAME's is 50 MB."""
 
-_KINDS = frozenset("biufSU")
+_ALLOWED_DTYPE_KINDS = frozenset("biufSU")
 _REFUSED_OPCODES = frozenset(
     opcode[0]
     for opcode in (
@@ -32,7 +33,7 @@ _REFUSED_OPCODES = frozenset(
         *(pickle.NEWOBJ_EX, pickle.BYTEARRAY8, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.LONG4),
     )
 )
-_DAMAGED = (
+_DAMAGE_ERRORS = (
     *(pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
     *(RecursionError, AssertionError, RuntimeError, struct.error),
 )
@@ -42,8 +43,8 @@ class _Refused(Exception):
     """A pickle asked for something outside the allow-list."""
 
 
-class _Type:
-    """A number type as pickled: `numpy.dtype(code, …)` followed by its state, of which only the byte order counts."""
+class _DtypeStandIn:
+    """A dtype as pickled: `numpy.dtype(code, …)` followed by its state, of which only the byte order matters."""
 
     def __init__(self, code: object = "", *_: object) -> None:
         text = code.decode("latin1") if isinstance(code, bytes) else code
@@ -62,13 +63,13 @@ class _Type:
             found = np.dtype(self._code)
         except TypeError as error:
             raise _Refused(f"number type {self._code!r}") from error
-        if found.kind not in _KINDS or found.hasobject:
+        if found.kind not in _ALLOWED_DTYPE_KINDS or found.hasobject:
             raise _Refused(f"number type {self._code!r}")
         return found.newbyteorder("<") if self._little else found
 
 
-class _Array:
-    """An array as pickled: `_reconstruct(…)` followed by (version, shape, type, Fortran order, bytes)."""
+class _ArrayStandIn:
+    """An array as pickled: `_reconstruct(…)` followed by (version, shape, dtype, Fortran order, bytes)."""
 
     def __init__(self, *_: object) -> None:
         self._value: np.ndarray = np.zeros(0)
@@ -78,7 +79,12 @@ class _Array:
             raise _Refused("an array without its contents")
         shape, kind, fortran, data = state[-4:]
         raw = data.encode("latin1") if isinstance(data, str) else data
-        if not isinstance(kind, _Type) or not isinstance(raw, bytes) or not isinstance(shape, tuple) or len(shape) > 8:
+        if (
+            not isinstance(kind, _DtypeStandIn)
+            or not isinstance(raw, bytes)
+            or not isinstance(shape, tuple)
+            or len(shape) > 8
+        ):
             raise _Refused("an array of Python objects")
         number = kind.resolve()
         if not all(type(size) is int and size >= 0 for size in shape) or prod(shape) * number.itemsize != len(raw):
@@ -90,8 +96,8 @@ class _Array:
         return self._value
 
 
-class _Record:
-    """An object of chumpy or scipy: its attributes, never its behaviour."""
+class _ObjectStandIn:
+    """An object of chumpy or scipy: its attributes, never its behavior."""
 
     def __init__(self, *_: object) -> None:
         self.state: dict[str, Any] = {}
@@ -102,27 +108,27 @@ class _Record:
         self.state = {str(key): value for key, value in state.items()}
 
 
-class _Select(_Record):
+class _SelectStandIn(_ObjectStandIn):
     """`chumpy.reordering.Select`: entries of another array."""
 
 
-class _Sparse(_Record):
+class _SparseStandIn(_ObjectStandIn):
     """`scipy.sparse.csc_matrix`."""
 
 
-class _Marker:
-    """Stands for a class that is only ever an argument (numpy.ndarray, object)."""
+class _ClassStandIn:
+    """A class that is only ever an argument (numpy.ndarray, object) and must not be called."""
 
     def __init__(self, *_: object) -> None:
-        raise _Refused("an array or object made directly")
+        raise _Refused("an array or object created directly")
 
 
-def _reconstruct(*_: object) -> _Array:
-    return _Array()
+def _reconstruct(*_: object) -> _ArrayStandIn:
+    return _ArrayStandIn()
 
 
 def _scalar(kind: object, data: object = b"") -> np.ndarray:
-    array = _Array()
+    array = _ArrayStandIn()
     array.__setstate__((1, (), kind, False, data))
     return array.value()
 
@@ -134,51 +140,51 @@ def _encode(text: object, encoding: object = "latin1") -> bytes:
 
 
 def _reconstructor(kind: object, *_: object) -> object:
-    if isinstance(kind, type) and issubclass(kind, _Record):
+    if isinstance(kind, type) and issubclass(kind, _ObjectStandIn):
         return kind()
     raise _Refused("an unknown object")
 
 
-class _Bytes:
-    """`bytes()` and `bytearray()` without arguments, as protocol 2 writes empty bytes."""
+class _EmptyBytes:
+    """`bytes()` without arguments, as protocol 2 writes empty bytes."""
 
     def __new__(cls, *arguments: object) -> bytes:  # type: ignore[misc]
         if arguments:
-            raise _Refused("bytes made from something else")
+            raise _Refused("bytes converted from another object")
         return b""
 
 
 _ALLOWED: dict[tuple[str, str], Callable[..., Any]] = {
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _reconstruct for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
-    ("numpy", "ndarray"): _Marker,
-    ("numpy", "dtype"): _Type,
+    ("numpy", "ndarray"): _ClassStandIn,
+    ("numpy", "dtype"): _DtypeStandIn,
     ("_codecs", "encode"): _encode,
     ("collections", "OrderedDict"): dict,
-    **{(f"scipy.sparse{module}", "csc_matrix"): _Sparse for module in ("", ".csc", "._csc")},
-    ("chumpy.reordering", "Select"): _Select,
+    **{(f"scipy.sparse{module}", "csc_matrix"): _SparseStandIn for module in ("", ".csc", "._csc")},
+    ("chumpy.reordering", "Select"): _SelectStandIn,
     **{(module, "_reconstructor"): _reconstructor for module in ("copy_reg", "copyreg")},
-    **{(module, "object"): _Marker for module in ("__builtin__", "builtins")},
-    **{(module, "bytes"): _Bytes for module in ("__builtin__", "builtins")},
+    **{(module, "object"): _ClassStandIn for module in ("__builtin__", "builtins")},
+    **{(module, "bytes"): _EmptyBytes for module in ("__builtin__", "builtins")},
 }
 
 
-class _Reader(pickle._Unpickler):
-    """The pure-Python unpickler (the C one can be made to allocate gigabytes by a memo index) with an allow-list."""
+class _RestrictedUnpickler(pickle._Unpickler):
+    """The pure-Python unpickler with an allow-list (a memo index can make the C one allocate gigabytes)."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(io.BytesIO(data), encoding="latin1")
-        self._left = MAX_PICKLE_BYTES
+        self._remaining_bytes = MAX_PICKLE_BYTES
 
     def load_build(self) -> None:
-        """Give an object its state: stand-ins only, so that no function or class here can be altered from a file."""
+        """Set an object's state: stand-ins only, so that a file cannot alter any function or class of this module."""
         state = self.stack.pop()  # type: ignore[attr-defined]
         target = self.stack[-1]  # type: ignore[attr-defined]
-        if not isinstance(target, _Type | _Array | _Record):
+        if not isinstance(target, _DtypeStandIn | _ArrayStandIn | _ObjectStandIn):
             raise _Refused("an object with a state of its own")
-        if isinstance(target, _Array) and isinstance(state, tuple) and isinstance(state[-1], bytes | str):
-            self._left -= len(state[-1])
-            if self._left < 0:
+        if isinstance(target, _ArrayStandIn) and isinstance(state, tuple) and isinstance(state[-1], bytes | str):
+            self._remaining_bytes -= len(state[-1])
+            if self._remaining_bytes < 0:
                 raise _Refused(f"more than {MAX_PICKLE_BYTES >> 20} MiB of arrays")
         target.__setstate__(state)
 
@@ -191,19 +197,19 @@ class _Reader(pickle._Unpickler):
         if (module, name) in _ALLOWED:
             return _ALLOWED[module, name]
         if module.split(".")[0] == "chumpy" and "." not in name:
-            return _Record
+            return _ObjectStandIn
         raise _Refused(f"{module}.{name}")
 
 
 def read_pickle(path: Path) -> Any:
-    """The plain content (dicts, lists, numbers, text, arrays) of a pickle, or of a tensorless zip by `torch.save`.
+    """Read the plain content (dicts, lists, numbers, text, arrays) of a pickle, or of a tensorless `torch.save` file.
 
     Raises:
         InputError: The file is missing, damaged, too large, or names anything that is not on the allow-list.
     """
     try:
         data = _pickle_bytes(path)
-        return _Unfolding().plain(_Reader(data).load())
+        return _PlainConverter().convert(_RestrictedUnpickler(data).load())
     except InputError:
         raise
     except FileNotFoundError as error:
@@ -213,17 +219,17 @@ def read_pickle(path: Path) -> Any:
     except _Refused as error:
         raise InputError(
             f"{path}: refused, since it holds {error}, which no tracker output or FLAME model needs and which "
-            "could run code; get the file from its original source"
+            "could run code; download the file from its original source"
         ) from error
     except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise InputError(f"{path}: damaged archive ({error}); copy or make the file again") from error
+        raise InputError(f"{path}: damaged archive ({error}); copy or create the file again") from error
     except OSError as error:
-        if error.errno != errno.EINVAL:  # an archive whose entries lie before its beginning
+        if error.errno != errno.EINVAL:  # EINVAL: an entry lies before the file's start
             raise
-        raise InputError(f"{path}: damaged archive; copy or make the file again") from error
-    except _DAMAGED as error:
+        raise InputError(f"{path}: damaged archive; copy or create the file again") from error
+    except _DAMAGE_ERRORS as error:
         raise InputError(
-            f"{path}: not a readable pickle ({type(error).__name__}); copy or make the file again"
+            f"{path}: not a readable pickle ({type(error).__name__}); copy or create the file again"
         ) from error
 
 
@@ -231,7 +237,7 @@ def _pickle_bytes(path: Path) -> bytes:
     """The pickle itself: the whole file, or `*/data.pkl` of a zip."""
     size = path.stat().st_size
     if size > MAX_PICKLE_BYTES:
-        raise InputError(f"{path}: {size >> 20} MiB, the limit is {MAX_PICKLE_BYTES >> 20} MiB")
+        raise InputError(f"{path}: expected at most {MAX_PICKLE_BYTES >> 20} MiB, found {size >> 20} MiB")
     with path.open("rb") as stream:
         if stream.read(2) != b"PK":
             stream.seek(0)
@@ -241,60 +247,60 @@ def _pickle_bytes(path: Path) -> bytes:
             info for info in archive.infolist() if info.filename.count("/") == 1 and info.filename.endswith("/data.pkl")
         ]
         if len(inside) != 1:
-            raise InputError(f"{path}: expected one data.pkl as torch.save writes it, found {len(inside)}")
+            raise InputError(f"{path}: expected one data.pkl as torch.save writes it, found {len(inside)} of them")
         if inside[0].file_size > max(64 * size, 1 << 20) or inside[0].file_size > MAX_PICKLE_BYTES:
             raise InputError(f"{path}: unpacks to {inside[0].file_size >> 20} MiB; the file is damaged or hostile")
         with archive.open(inside[0]) as stream:
             return stream.read(inside[0].file_size)
 
 
-_PLAIN = (str, bytes, int, float, complex, set, frozenset, np.ndarray)
+_PLAIN_TYPES = (str, bytes, int, float, complex, set, frozenset, np.ndarray)
 
 
-class _Unfolding:
-    """Replaces stand-ins by arrays; shared parts are converted once, so a small file cannot unfold into a large one."""
+class _PlainConverter:
+    """Replaces stand-ins by arrays; shared parts are converted once, so a small file cannot expand into a large one."""
 
     def __init__(self) -> None:
-        self._done: dict[int, tuple[object, Any]] = {}
-        self._open: set[int] = set()
-        self._sparse_left = 4
+        self._converted: dict[int, tuple[object, Any]] = {}
+        self._in_progress: set[int] = set()
+        self._remaining_sparse = 4
 
-    def plain(self, value: Any) -> Any:
-        """The plain content of a value."""
-        if id(value) in self._done:
-            return self._done[id(value)][1]
-        if id(value) in self._open or len(self._open) > 50:
+    def convert(self, value: Any) -> Any:
+        """Convert a value to plain content."""
+        if id(value) in self._converted:
+            return self._converted[id(value)][1]
+        if id(value) in self._in_progress or len(self._in_progress) > 50:
             raise _Refused("a structure that contains itself or is nested more than 50 deep")
-        self._open.add(id(value))
-        result = self._convert(value)
-        self._open.discard(id(value))
-        self._done[id(value)] = (value, result)
+        self._in_progress.add(id(value))
+        result = self._convert_new(value)
+        self._in_progress.discard(id(value))
+        self._converted[id(value)] = (value, result)
         return result
 
-    def _convert(self, value: Any) -> Any:
-        if isinstance(value, _Array):
+    def _convert_new(self, value: Any) -> Any:
+        if isinstance(value, _ArrayStandIn):
             return value.value()
-        if isinstance(value, _Record):
-            return self._record(value)
+        if isinstance(value, _ObjectStandIn):
+            return self._array_of(value)
         if isinstance(value, dict):
             if not all(isinstance(key, str | int | bytes) for key in value):
                 raise _Refused("a dictionary whose keys are not names")
-            return {key: self.plain(item) for key, item in value.items()}
+            return {key: self.convert(item) for key, item in value.items()}
         if isinstance(value, list | tuple):
-            return type(value)(self.plain(item) for item in value)
-        if value is not None and not isinstance(value, _PLAIN):
+            return type(value)(self.convert(item) for item in value)
+        if value is not None and not isinstance(value, _PLAIN_TYPES):
             raise _Refused(f"{type(value).__name__} where a value is expected")
         return value
 
-    def _record(self, value: _Record) -> np.ndarray:
-        """The array an object of chumpy or scipy stands for."""
-        state = {key: self.plain(item) for key, item in value.state.items() if key in _STATE_KEYS}
-        if isinstance(value, _Sparse):
-            self._sparse_left -= 1
-            if self._sparse_left < 0:
+    def _array_of(self, value: _ObjectStandIn) -> np.ndarray:
+        """The array that an object of chumpy or scipy represents."""
+        state = {key: self.convert(item) for key, item in value.state.items() if key in _STATE_KEYS}
+        if isinstance(value, _SparseStandIn):
+            self._remaining_sparse -= 1
+            if self._remaining_sparse < 0:
                 raise _Refused("more than four sparse matrices")
-            return _dense(state)
-        if isinstance(value, _Select):
+            return _sparse_to_dense(state)
+        if isinstance(value, _SelectStandIn):
             chosen = np.asarray(state["a"]).ravel()[np.asarray(state["idxs"])]
             shape = state.get("preferred_shape")
             return chosen.reshape(shape) if isinstance(shape, tuple) else chosen
@@ -306,8 +312,8 @@ class _Unfolding:
 _STATE_KEYS = frozenset({"x", "a", "idxs", "preferred_shape", "shape", "_shape", "data", "indices", "indptr"})
 
 
-def _dense(state: dict[str, Any]) -> np.ndarray:
-    """A compressed-column matrix as an array, with every index checked."""
+def _sparse_to_dense(state: dict[str, Any]) -> np.ndarray:
+    """Convert a compressed-column matrix to an array, checking every index."""
     shape = state.get("_shape", state.get("shape"))
     data, rows, starts = (np.asarray(state[key]) for key in ("data", "indices", "indptr"))
     if not isinstance(shape, tuple) or len(shape) != 2 or not all(type(size) is int and size >= 0 for size in shape):

@@ -1,1 +1,1 @@
-"""Compiled kernels: compiler, cache, threads, explicit vectors and the small inlined functions they share."""
+"""Compiled kernels: compiler, cache, threads, explicit SIMD vectors and small inlined functions."""

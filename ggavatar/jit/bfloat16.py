@@ -1,7 +1,7 @@
-"""Where the processor multiplies matrices of bfloat16 in hardware, at twice the rate of float32 and more.
+"""Matrix products in bfloat16, on processors that compute them in hardware at twice the rate of float32 or more.
 
-Torch makes machine code for every size of such a product and keeps a thousand of them, a gigabyte in all: sizes that
-change with every step are to be rounded.
+Torch compiles such a product for every matrix size and caches a thousand of them, a gigabyte in all: sizes that change
+with every step must be rounded up (`padded_indices`).
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
-HARDWARE = ("avx512bf16", "amx-bf16")
-"""Features of a processor that has such instructions, as LLVM names them."""
+CPU_FEATURES = ("avx512bf16", "amx-bf16")
+"""LLVM's names of the processor features that provide bfloat16 matrix products."""
 
 
-def product_type(device: torch.device) -> torch.dtype:
-    """Type of hidden layers wherever eight bits of mantissa suffice: bfloat16 on a CPU made for it, else float32."""
-    return torch.bfloat16 if device.type == "cpu" and _is_made_for_bfloat16() else torch.float32
+def matmul_dtype(device: torch.device) -> torch.dtype:
+    """Dtype for layers that need no more than 8 bits of mantissa: bfloat16 on a CPU made for it, else float32."""
+    return torch.bfloat16 if device.type == "cpu" and _has_bfloat16_products() else torch.float32
 
 
-def in_whole_groups(wanted: Bool[Tensor, " N"], group: int) -> Int64[Tensor, " M"]:
-    """Indices of the wanted rows and then of as many others as make M a multiple of `group`, or all N rows."""
+def padded_indices(wanted: Bool[Tensor, " N"], multiple: int) -> Int64[Tensor, " M"]:
+    """Indices of the wanted rows, followed by others until M is a multiple of `multiple` or all N rows are taken."""
     count = int(wanted.sum())
-    return torch.argsort(~wanted, stable=True)[: -(-count // group) * group]
+    return torch.argsort(~wanted, stable=True)[: -(-count // multiple) * multiple]
 
 
 @functools.cache
-def _is_made_for_bfloat16() -> bool:
+def _has_bfloat16_products() -> bool:
     try:
         from llvmlite.binding import get_host_cpu_features
     except ImportError:
         return False
     try:
         features = get_host_cpu_features()
-    except RuntimeError:  # LLVM cannot tell on every platform
+    except RuntimeError:  # LLVM does not know on every platform
         return False
-    return any(features.get(name, False) for name in HARDWARE)
+    return any(features.get(name, False) for name in CPU_FEATURES)

@@ -1,7 +1,7 @@
-"""The on-disk cache of compiled kernels: what a kernel is made of, where its machine code is kept, when it is trusted.
+"""The on-disk cache of compiled kernels: what it depends on, where it is, and which files in it are trusted.
 
-Numba compares only the file of a kernel itself with its cache. Here the cache's folder is named after a digest of
-every file the kernel can inline or take a constant from, and every cache file carries a digest of its own content.
+Numba only compares a kernel's own source file with its cache. Here the cache folder is named after a digest of every
+file that the kernel can inline or take a constant from, and every cache file carries a digest of its own contents.
 """
 
 from __future__ import annotations
@@ -21,14 +21,18 @@ from typing import Any
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from ggavatar.io.cache_folder import cache_folder
+
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
+"""Packages whose sources a kernel may depend on."""
+
 ROOT = Path(__file__).parents[2]
 DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 @functools.cache
 def imported_files(path: Path, root: Path) -> frozenset[Path]:
-    """Files of our packages below `root` that the source file `path` imports, wherever in the file."""
+    """Files of our packages below `root` that the source file `path` imports, anywhere in the file."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
@@ -40,7 +44,7 @@ def imported_files(path: Path, root: Path) -> frozenset[Path]:
 
 
 def kernel_sources(path: Path, root: Path = ROOT) -> tuple[Path, ...]:
-    """The source file `path` and all files of our packages that it imports, directly or through others; sorted."""
+    """The source file `path` and all files of our packages that it imports, directly or indirectly; sorted."""
     found, waiting = {path}, [path]
     while waiting:
         for file in imported_files(waiting.pop(), root) - found:
@@ -51,7 +55,7 @@ def kernel_sources(path: Path, root: Path = ROOT) -> tuple[Path, ...]:
 
 @functools.cache
 def source_digest(path: Path, root: Path = ROOT) -> str:
-    """Digest of everything that the kernels in `path` are made of, 12 hexadecimal digits."""
+    """Digest of all sources that the kernels in `path` depend on, 12 hexadecimal digits."""
     digest = hashlib.sha256()
     for file in kernel_sources(path, root):
         name = file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
@@ -60,36 +64,38 @@ def source_digest(path: Path, root: Path = ROOT) -> str:
 
 
 def is_private(folder: Path) -> bool:
-    """Whether `folder` is a real folder that this user owns and nobody else may write to."""
+    """Whether `folder` is a folder, not a link, that this user owns and nobody else may write to."""
     status = folder.lstat()
     if not stat.S_ISDIR(status.st_mode):
         return False
     return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
-def cache_folder() -> Path:
-    """The folder for compiled kernels: in $GGAVATAR_CACHE, else the user's cache, else a temporary one.
+def kernel_folder() -> Path:
+    """The folder for compiled kernels, created if necessary: in the user's cache, else a temporary one.
 
     Cache files are executed, so a folder that others could have written to is not used.
     """
-    wanted = os.environ.get("GGAVATAR_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    folder = Path(wanted) / "ggavatar" / "kernels"
+    folder = cache_folder("kernels")
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if is_private(folder) and os.access(folder, os.W_OK):
             return folder
     private = Path(tempfile.mkdtemp(prefix="ggavatar-kernels-"))
-    sys.stderr.write(f"kernels are kept in {private} for this process: {folder} is not writable by this user alone\n")
+    sys.stderr.write(
+        f"compiled kernels are kept in {private} for this process only: {folder} is not a folder that this user alone "
+        "can write to; set $GGAVATAR_CACHE to one\n"
+    )
     return private
 
 
 def _signature(path: str, content: bytes) -> bytes:
-    """Digest of a cache file's content and name, so that a copy under another name is foreign."""
+    """Digest of a cache file's name and content, so that a copy under another name does not match."""
     return hashlib.sha256(os.path.basename(path).encode() + b"\0" + content).digest()
 
 
 def _is_intact(path: str) -> bool:
-    """Whether a cache file is complete and as it was written; a missing one is not."""
+    """Whether a cache file exists, is complete and unchanged."""
     try:
         content = Path(path).read_bytes()
     except OSError:
@@ -98,7 +104,7 @@ def _is_intact(path: str) -> bool:
 
 
 class _CheckedCacheFile(IndexDataCacheFile):
-    """Numba's index and data files, each with a digest at its end; a damaged one counts as missing."""
+    """Numba's index and data files with a digest appended; a damaged one counts as missing."""
 
     @contextlib.contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
@@ -112,12 +118,12 @@ class _CheckedCacheFile(IndexDataCacheFile):
 
     def _load_data(self, name: str) -> Any:
         if not _is_intact(self._data_path(name)):
-            raise FileNotFoundError(name)  # the caller compiles anew
+            raise FileNotFoundError(name)  # makes the caller recompile
         return super()._load_data(name)
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache of one function on checked files; a full disk costs a compilation, not the program."""
+    """Numba's cache of one function, in checked files; if the disk is full, the kernel is just not cached."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
@@ -125,6 +131,6 @@ class KernelCache(FunctionCache):
         self._cache_file = _CheckedCacheFile(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the machine code of one signature, where there is room for it."""
+        """Store the machine code of one signature; write errors are ignored."""
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)

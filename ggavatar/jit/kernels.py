@@ -1,4 +1,4 @@
-"""Just-in-time compilation of kernels, cached on disk."""
+"""Just-in-time compilation of kernels with numba, cached on disk."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from typing import Any
 import numba
 from numba.core.event import Event, Listener, register
 
-from ggavatar.jit.kernel_cache import KernelCache, cache_folder, source_digest
+from ggavatar.jit.kernel_cache import PACKAGES, KernelCache, kernel_folder, source_digest
 
-CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else cache_folder()
+CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else kernel_folder()
+"""The folder for compiled kernels; None leaves it to numba, where the user chose one."""
 
 OPTIONS = {
     "nogil": True,
@@ -25,40 +26,40 @@ OPTIONS = {
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a kernel on its first call, cached on disk."""
-    plain = inspect.unwrap(function)  # tests check types through decorators
+    """Decorator: compile a kernel on its first call and cache it on disk."""
+    plain = inspect.unwrap(function)  # the tests wrap functions to check types
     dispatcher = numba.njit(**OPTIONS)(plain)
-    if CACHE is not None:  # Numba reads the folder when a cache is made
+    if CACHE is not None:  # numba reads the folder when the cache is created
         numba.config.CACHE_DIR = str(CACHE / source_digest(Path(inspect.getfile(plain))))
     dispatcher._cache = KernelCache(plain)
     return dispatcher
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A helper of kernels, inlined by LLVM; caching it too would only double the work of the first compilation."""
+    """Decorator: compile a function that LLVM inlines into kernels; caching it too would double the compile time."""
     return numba.njit(inline="never", forceinline=True, **OPTIONS)(inspect.unwrap(function))
 
 
-_told: set[str] = set()
+_announced: set[str] = set()
 
 
 def announce(what: str) -> None:
-    """Say on stderr, once per process, that a first compilation is under way, since it takes seconds."""
-    if what not in _told:
-        _told.add(what)
-        sys.stderr.write(f"compiling {what} for this processor (once; kept in {CACHE or numba.config.CACHE_DIR})\n")
+    """Say on stderr, once per process, that a compilation has started, since it takes seconds."""
+    if what not in _announced:
+        _announced.add(what)
+        sys.stderr.write(f"compiling {what} for this processor (once; cached in {CACHE or numba.config.CACHE_DIR})\n")
 
 
-class _Announcer(Listener):
-    """Hears of every compilation that the cache could not spare."""
+class _CompilationListener(Listener):
+    """Announces the first compilation of one of our kernels that was not in the cache."""
 
     def on_start(self, event: Event) -> None:
         module = event.data["dispatcher"].py_func.__module__ or ""
-        if module.split(".")[0] in ("ggavatar", "preprocess", "evaluate"):
+        if module.split(".")[0] in PACKAGES:
             announce("kernels")
 
     def on_end(self, event: Event) -> None:
-        """Nothing to say."""
+        """Required by numba; nothing to do."""
 
 
-register("numba:compile", _Announcer())
+register("numba:compile", _CompilationListener())

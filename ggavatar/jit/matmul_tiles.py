@@ -1,4 +1,4 @@
-"""Small matrix products inside compiled kernels: tiles of 4 rows by 64 (or 16) columns are kept in registers.
+"""Small matrix products inside compiled kernels, in tiles of 4 rows by 64 (or 16) columns that stay in registers.
 
 Matrices are flat; `b` and `c` are row-major with a width that is a multiple of 16, `a` may have any strides.
 """
@@ -14,7 +14,7 @@ from ggavatar.jit.simd import LANES, fma, splat
 
 @inlined
 def _tile_64(a, at, strides, depth, b, c, c_at, width):
-    """Add 4 × depth of `a` (strides by row and column) times depth × 64 of `b` to `c`; `b` begins at its column."""
+    """Add 4 × depth of `a` (strides per row and column) times depth × 64 of `b`, from its first element on, to `c`."""
     c00, c01, c02, c03 = load(c, c_at), load(c, c_at + 16), load(c, c_at + 32), load(c, c_at + 48)
     r1, r2, r3 = c_at + width, c_at + 2 * width, c_at + 3 * width
     c10, c11, c12, c13 = load(c, r1), load(c, r1 + 16), load(c, r1 + 32), load(c, r1 + 48)
@@ -67,7 +67,10 @@ def _tile_16(a, at, strides, depth, b, c, c_at, width):
 
 @kernel
 def add_product(a, row_step, step, rows, depth, b, columns, c):
-    """`c` += `a` · `b`: rows × depth (any strides) by depth × columns; rows in fours, columns in sixteens."""
+    """`c` += `a` · `b`: rows × depth (any strides) by depth × columns.
+
+    `rows` must be a multiple of 4 and `columns` of 16.
+    """
     strides = (np.int64(row_step), np.int64(step))
     for row in range(0, rows, 4):
         column = 0

@@ -1,7 +1,7 @@
-"""Loads, stores, transpositions and bit tricks for the 16-lane vectors of `ggavatar.jit.simd`.
+"""Loads, stores, transpositions and bit operations for the 16-lane vectors of `ggavatar.jit.simd`.
 
-Memory is a contiguous array or a bare pointer; indices count elements and are not checked. Kernels turn their
-arrays into pointers first, because handing an array from function to function counts references.
+Memory is a contiguous array or a pointer; indices count elements and are not checked. Kernels convert their arrays to
+pointers first, because passing an array from function to function counts references.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _vector_at(builder: ir.IRBuilder, pointer: ir.Value, kind: ir.Type) -> ir.Va
 
 @intrinsic
 def pointer(typingctx: Any, array: Any, index: Any) -> Any:
-    """The address of an element, which can be indexed like an array but keeps nothing alive."""
+    """The address of an element; it can be indexed like an array but does not keep the array alive."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         return _address(context, builder, sig.args[0], args[0], args[1])
@@ -63,12 +63,12 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def stream(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """As `store`, past the caches, to the beginning of a cache line: saves reading what is replaced."""
+    """As `store`, non-temporal and aligned to a cache line, which saves reading what is overwritten."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         pointer = _address(context, builder, sig.args[0], args[0], args[1])
-        kept = builder.store(args[2], _vector_at(builder, pointer, _VECTOR), align=64)
-        kept.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
+        instruction = builder.store(args[2], _vector_at(builder, pointer, _VECTOR), align=64)
+        instruction.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
         return context.get_dummy_value()
 
     return types.void(array, types.int64, lanes), lower
@@ -103,19 +103,19 @@ def gather_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, 
 
 @intrinsic
 def load_flags(typingctx: Any, array: Any, index: Any) -> Any:
-    """Sixteen consecutive truth values."""
+    """Sixteen consecutive booleans."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         kind = ir.VectorType(_I8, LANES)
-        place = _address(context, builder, sig.args[0], args[0], args[1])
-        return builder.icmp_unsigned("!=", builder.load(_vector_at(builder, place, kind), align=1), kind([0] * LANES))
+        pointer = _address(context, builder, sig.args[0], args[0], args[1])
+        return builder.icmp_unsigned("!=", builder.load(_vector_at(builder, pointer, kind), align=1), kind([0] * LANES))
 
     return flags(array, types.int64), lower
 
 
 @intrinsic
 def gather_flags(typingctx: Any, array: Any, first: Any, last: Any) -> Any:
-    """Sixteen consecutive truth values; those beyond `last` are false."""
+    """Sixteen consecutive booleans; those beyond `last` are false."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         bits = _I16(0)
@@ -134,7 +134,7 @@ def scatter_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any,
     """Write one column of sixteen consecutive rows; lanes beyond row `last` are dropped."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        # Backwards, so that the lane that belongs to the last row is the one that stays.
+        # In reverse, so that the last row keeps the value of its own lane.
         for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
             pointer = _address(context, builder, sig.args[0], args[0], index)
             builder.store(builder.extract_element(args[5], _I32(lane)), pointer, align=4)
@@ -144,7 +144,7 @@ def scatter_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any,
 
 
 def _row_indices(builder: ir.IRBuilder, args: Any) -> list[ir.Value]:
-    """Flat index of `column` in rows first … first + 15, none beyond `last`."""
+    """Flat indices of `column` in rows first … first + 15, clamped to row `last`."""
     first, last, stride, column = args
     indices = []
     for lane in range(LANES):
@@ -156,7 +156,7 @@ def _row_indices(builder: ir.IRBuilder, args: Any) -> list[ir.Value]:
 
 @intrinsic
 def transpose(typingctx: Any, rows: Any) -> Any:
-    """Sixteen vectors as the columns of the given sixteen."""
+    """Transpose a 16 × 16 matrix of sixteen row vectors."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         values = [builder.extract_value(args[0], index) for index in range(LANES)]
@@ -171,7 +171,7 @@ def transpose(typingctx: Any, rows: Any) -> Any:
 
 
 def _swap_halves(builder: ir.IRBuilder, values: list[ir.Value], step: int) -> list[ir.Value]:
-    """One stage of the butterfly: lanes with bit `step` set change places with rows with that bit set."""
+    """One stage of the butterfly: swaps lanes that have bit `step` set with rows that have it set."""
     low = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
     high = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
     swapped = list(values)
@@ -185,7 +185,7 @@ def _swap_halves(builder: ir.IRBuilder, values: list[ir.Value], step: int) -> li
 
 @intrinsic
 def column_bits(typingctx: Any, words: Any, column: Any) -> Any:
-    """Bit `column` of each of the first 64 uint16 of an array, as the bits of an int64."""
+    """Bit `column` of each of an array's first 64 uint16, as the bits of an int64."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         kind = ir.VectorType(_I16, 64)
@@ -202,7 +202,7 @@ def column_bits(typingctx: Any, words: Any, column: Any) -> Any:
 
 @intrinsic
 def lowest_bit(typingctx: Any, bits: Any) -> Any:
-    """Number of the lowest set bit of an int64 that is not 0."""
+    """Index of the lowest set bit of a nonzero int64."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         return call(builder, "llvm.cttz.i64", [args[0], ir.IntType(1)(1)], _I64)
@@ -212,7 +212,7 @@ def lowest_bit(typingctx: Any, bits: Any) -> Any:
 
 @intrinsic
 def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
-    """Ask for the cache line of an element."""
+    """Prefetch the cache line of an element."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         pointer = _address(context, builder, sig.args[0], args[0], args[1])
@@ -225,7 +225,7 @@ def prefetch(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def take_ticket(typingctx: Any, counter: Any, index: Any) -> Any:
-    """The value of an int64 element, which is raised by one; atomic between threads."""
+    """Atomically increment an int64 element; returns its previous value."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         pointer = _address(context, builder, sig.args[0], args[0], args[1])
@@ -236,7 +236,7 @@ def take_ticket(typingctx: Any, counter: Any, index: Any) -> Any:
 
 @intrinsic
 def float_bits(typingctx: Any, value: Any) -> Any:
-    """The bits of a float32 as an int64; for positive numbers in the same order as the numbers."""
+    """The bits of a float32 as an int64; for positive numbers the order is preserved."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         return builder.zext(builder.bitcast(args[0], _I32), _I64)
@@ -246,9 +246,9 @@ def float_bits(typingctx: Any, value: Any) -> Any:
 
 def _strided(builder: ir.IRBuilder, block: ir.Value, count: int) -> list[ir.Value]:
     """The `count` columns of a block of 16 rows."""
-    nothing = ir.Constant(block.type, ir.Undefined)
+    undefined = ir.Constant(block.type, ir.Undefined)
     picks = ([lane * count + column for lane in range(LANES)] for column in range(count))
-    return [builder.shuffle_vector(block, nothing, ir.Constant(_INTS, pick)) for pick in picks]
+    return [builder.shuffle_vector(block, undefined, ir.Constant(_INTS, pick)) for pick in picks]
 
 
 def _columns(count: int) -> Any:
@@ -268,7 +268,7 @@ load_columns_4 = _columns(4)
 
 
 def _interleave(builder: ir.IRBuilder, values: list[ir.Value], scalar: ir.Type) -> ir.Value:
-    """One vector with the lanes of all values in turn: a0 b0 c0, a1 b1 c1 and so on."""
+    """Interleave the lanes of vectors: a0 b0 c0, a1 b1 c1 and so on."""
     count = len(values)
     width = 1 << (count - 1).bit_length()
     padded = values + [ir.Constant(values[0].type, ir.Undefined)] * (width - count)
@@ -278,13 +278,13 @@ def _interleave(builder: ir.IRBuilder, values: list[ir.Value], scalar: ir.Type) 
         padded = [builder.shuffle_vector(a, b, order) for a, b in zip(padded[::2], padded[1::2], strict=True)]
         size *= 2
     picks = [column * LANES + lane for lane in range(LANES) for column in range(count)]
-    nothing = ir.Constant(padded[0].type, ir.Undefined)
-    return builder.shuffle_vector(padded[0], nothing, ir.Constant(ir.VectorType(_I32, LANES * count), picks))
+    undefined = ir.Constant(padded[0].type, ir.Undefined)
+    return builder.shuffle_vector(padded[0], undefined, ir.Constant(ir.VectorType(_I32, LANES * count), picks))
 
 
 @intrinsic
 def store_columns(typingctx: Any, array: Any, index: Any, columns: Any) -> Any:
-    """Write vectors as the columns of 16 rows, without gaps."""
+    """Write vectors as the columns of 16 contiguous rows."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         values = [builder.extract_value(args[2], number) for number in range(len(sig.args[2]))]
@@ -298,7 +298,7 @@ def store_columns(typingctx: Any, array: Any, index: Any, columns: Any) -> Any:
 
 @intrinsic
 def store_boxes(typingctx: Any, array: Any, index: Any, columns: Any) -> Any:
-    """Write four vectors of whole numbers as the int16 columns of 16 rows."""
+    """Write four vectors of integers as the int16 columns of 16 contiguous rows."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         kind = ir.VectorType(_I16, LANES)
@@ -314,7 +314,7 @@ def store_boxes(typingctx: Any, array: Any, index: Any, columns: Any) -> Any:
 
 @intrinsic
 def load_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any) -> Any:
-    """Sixteen vectors: 16 elements from `column` on of rows first … first + 15; rows beyond `last` repeat it."""
+    """16 elements, from `column` on, of each of the rows first … first + 15; rows beyond `last` repeat it."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         values = []
@@ -327,13 +327,13 @@ def load_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, co
 
 
 def _row_writer(count: int) -> Any:
-    """An intrinsic that writes sixteen vectors, the first `count` lanes each."""
+    """An intrinsic that writes the first `count` lanes of sixteen vectors."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        kept = ir.Constant(ir.VectorType(_I32, count), list(range(count)))
+        first_lanes = ir.Constant(ir.VectorType(_I32, count), list(range(count)))
         for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
             value = builder.extract_value(args[5], lane)
-            part = builder.shuffle_vector(value, value, kept)
+            part = builder.shuffle_vector(value, value, first_lanes)
             pointer = _address(context, builder, sig.args[0], args[0], index)
             builder.store(part, _vector_at(builder, pointer, part.type), align=4)
         return context.get_dummy_value()
@@ -344,27 +344,28 @@ def _row_writer(count: int) -> Any:
     return intrinsic(typed)
 
 
-# Write to rows first … first + 15 from `column` on; rows beyond `last` are dropped.
+# Both write rows first … first + 15 from `column` on and drop rows beyond `last`.
 store_rows, store_rows_10 = _row_writer(LANES), _row_writer(10)
 
 
 @intrinsic
 def stream_rows(typingctx: Any, array: Any, first: Any, last: Any, stride: Any, column: Any, rows: Any) -> Any:
-    """As `store_rows`, past the caches, where rows and columns begin on cache lines: saves reading what is replaced."""
+    """As `store_rows`, non-temporal and aligned to cache lines, which saves reading what is overwritten."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        mark = builder.module.add_metadata([ir.Constant(_I32, 1)])
+        nontemporal = builder.module.add_metadata([ir.Constant(_I32, 1)])
         for lane, index in reversed(list(enumerate(_row_indices(builder, args[1:5])))):
             pointer = _address(context, builder, sig.args[0], args[0], index)
-            kept = builder.store(builder.extract_value(args[5], lane), _vector_at(builder, pointer, _VECTOR), align=64)
-            kept.set_metadata("nontemporal", mark)
+            address = _vector_at(builder, pointer, _VECTOR)
+            instruction = builder.store(builder.extract_value(args[5], lane), address, align=64)
+            instruction.set_metadata("nontemporal", nontemporal)
         return context.get_dummy_value()
 
     return types.void(array, *[types.int64] * 4, rows), lower
 
 
 def _blocks(count: int) -> tuple[Any, Any]:
-    """Intrinsics that load and store 4 × 4 pixels of `count` interleaved channels, as one vector per channel."""
+    """Intrinsics that load and store 4 × 4 pixels of `count` interleaved channels as one vector per channel."""
 
     def row_picks(row: int) -> list[int]:
         return [channel * LANES + row * 4 + x for x in range(4) for channel in range(count)]
@@ -376,15 +377,15 @@ def _blocks(count: int) -> tuple[Any, Any]:
             index = builder.add(args[1], builder.mul(args[2], _I64(number)))
             pointer = _vector_at(builder, _address(context, builder, sig.args[0], args[0], index), row_kind)
             rows.append(builder.load(pointer, align=4))
-        pairs = [_joined(builder, rows[0], rows[1]), _joined(builder, rows[2], rows[3])]
-        parts = _strided(builder, _joined(builder, *pairs), count)
+        pairs = [_concatenate(builder, rows[0], rows[1]), _concatenate(builder, rows[2], rows[3])]
+        parts = _strided(builder, _concatenate(builder, *pairs), count)
         return context.make_tuple(builder, sig.return_type, parts)
 
     def lower_store(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         values = [builder.extract_value(args[3], number) for number in range(count)]
         values += [ir.Constant(_VECTOR, ir.Undefined)] * (count % 2)
-        pairs = [_joined(builder, a, b) for a, b in zip(values[::2], values[1::2], strict=True)]
-        block = _joined(builder, *pairs) if len(pairs) == 2 else pairs[0]
+        pairs = [_concatenate(builder, a, b) for a, b in zip(values[::2], values[1::2], strict=True)]
+        block = _concatenate(builder, *pairs) if len(pairs) == 2 else pairs[0]
         for number in range(4):
             order = ir.Constant(ir.VectorType(_I32, 4 * count), row_picks(number))
             part = builder.shuffle_vector(block, block, order)
@@ -402,8 +403,8 @@ def _blocks(count: int) -> tuple[Any, Any]:
     return intrinsic(type_load), intrinsic(type_store)
 
 
-def _joined(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
-    """The lanes of a, then those of b."""
+def _concatenate(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+    """Concatenate the lanes of a and b."""
     order = ir.Constant(ir.VectorType(_I32, 2 * a.type.count), list(range(2 * a.type.count)))
     return builder.shuffle_vector(a, b, order)
 
@@ -414,9 +415,9 @@ load_block_3, store_block_3 = _blocks(3)
 
 @intrinsic
 def lane_sums(typingctx: Any, values: Any) -> Any:
-    """One vector whose lane k is the sum of the lanes of `values[k]`; lanes without a value hold anything.
+    """One vector whose lane k is the sum of the lanes of `values[k]`; lanes without a value are undefined.
 
-    A tree of four stages; each folds two vectors into one, so ten sums cost little more than one.
+    Each of the four stages of the tree folds two vectors into one, so that ten sums cost little more than one.
     """
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
@@ -424,7 +425,7 @@ def lane_sums(typingctx: Any, values: Any) -> Any:
         for step in (8, 4, 2, 1):
             seconds = [*level[1::2], None][: len(level[::2])]
             level = [_fold(builder, first, second, step) for first, second in zip(level[::2], seconds, strict=True)]
-        # The first stage decides about the highest bit of a lane and the lowest of a place.
+        # The first stage maps the lowest bit of a vector's number to the highest bit of a lane: the order is reversed.
         order = [int(f"{lane:04b}"[::-1], 2) for lane in range(LANES)]
         return builder.shuffle_vector(level[0], level[0], ir.Constant(_INTS, order))
 
@@ -432,7 +433,7 @@ def lane_sums(typingctx: Any, values: Any) -> Any:
 
 
 def _fold(builder: ir.IRBuilder, first: ir.Value, second: ir.Value | None, step: int) -> ir.Value:
-    """Halve the number of partial sums: those of `second` go to the lanes with bit `step` set."""
+    """Halve the number of partial sums; those of `second` go to the lanes with bit `step` set."""
     low = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
     high = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
     other = ir.Constant(_VECTOR, ir.Undefined) if second is None else second

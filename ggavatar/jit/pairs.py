@@ -1,4 +1,4 @@
-"""Two neighbouring floats as one 64-bit access in compiled kernels; LLVM does not find these by itself."""
+"""64-bit access to two adjacent floats in compiled kernels, which LLVM does not find by itself."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-_F32, _I32, _I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
+_F32, _I32 = ir.FloatType(), ir.IntType(32)
 _PAIR = ir.VectorType(_F32, 2)
-_NOTHING = ir.Constant(_PAIR, ir.Undefined)
+_UNDEFINED = ir.Constant(_PAIR, ir.Undefined)
 
 
 def _pointer(context: Any, builder: ir.IRBuilder, kind: types.Array, array: ir.Value, index: ir.Value) -> ir.Value:
-    """Address of the pair that begins at flat element `index` of a contiguous array."""
+    """Address of the pair that starts at flat index `index` of a contiguous array."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), _PAIR.as_pointer())
 
 
-def _both(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
-    """The same number twice."""
-    first = builder.insert_element(_NOTHING, value, _I32(0))
-    return builder.shuffle_vector(first, _NOTHING, ir.Constant(ir.VectorType(_I32, 2), [0, 0]))
+def _splat(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
+    """A pair of the same number twice."""
+    first = builder.insert_element(_UNDEFINED, value, _I32(0))
+    return builder.shuffle_vector(first, _UNDEFINED, ir.Constant(ir.VectorType(_I32, 2), [0, 0]))
 
 
 def _multiply_add(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
@@ -32,13 +32,13 @@ def _multiply_add(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) 
 
 @intrinsic
 def blend_pairs(typingctx: Any, source: Any, indices: Any, weights: Any, out: Any, at: Any) -> Any:
-    """Write the weighted sum of four pairs of `source` at flat `indices` to the pair at flat index `at` of `out`."""
+    """Write the weighted sum of four pairs of `source`, at flat `indices`, to the pair of `out` at flat index `at`."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         total = ir.Constant(_PAIR, [0.0, 0.0])
         for corner in range(4):
             pointer = _pointer(context, builder, sig.args[0], args[0], builder.extract_value(args[1], corner))
-            weight = _both(builder, builder.extract_value(args[2], corner))
+            weight = _splat(builder, builder.extract_value(args[2], corner))
             total = _multiply_add(builder, weight, builder.load(pointer, align=4), total)
         builder.store(total, _pointer(context, builder, sig.args[3], args[3], args[4]), align=4)
         return context.get_dummy_value()
@@ -49,13 +49,13 @@ def blend_pairs(typingctx: Any, source: Any, indices: Any, weights: Any, out: An
 
 @intrinsic
 def add_to_pairs(typingctx: Any, target: Any, indices: Any, weights: Any, source: Any, at: Any) -> Any:
-    """Add the pair at flat index `at` of `source`, weighted, to four pairs of `target`, one after the other."""
+    """Add the pair of `source` at flat index `at`, weighted, to four pairs of `target`, one after the other."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         value = builder.load(_pointer(context, builder, sig.args[3], args[3], args[4]), align=4)
         for corner in range(4):
             pointer = _pointer(context, builder, sig.args[0], args[0], builder.extract_value(args[1], corner))
-            weight = _both(builder, builder.extract_value(args[2], corner))
+            weight = _splat(builder, builder.extract_value(args[2], corner))
             builder.store(_multiply_add(builder, weight, value, builder.load(pointer, align=4)), pointer, align=4)
         return context.get_dummy_value()
 

@@ -1,4 +1,4 @@
-"""Quaternions wxyz inside compiled kernels, as four numbers in and four out."""
+"""Quaternions wxyz inside compiled kernels, as tuples of four numbers or vectors."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ def product(a, b):
 
 @inlined
 def conjugate(a):
-    """The inverse rotation of a unit quaternion."""
+    """The conjugate, which for a unit quaternion is the inverse rotation."""
     return a[0], -a[1], -a[2], -a[3]
 
 
 @inlined
 def inverse_length(a):
-    """One over the length, which is taken as 1e-12 at least, as torch's `normalize` does."""
+    """Reciprocal of the length, which is clamped to at least 1e-12 as in torch's `normalize`."""
     length = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + a[3] * a[3])
     return np.float32(1) / max(length, np.float32(1e-12))
 
 
 @inlined
 def scaled(a, factor):
-    """Every part times a factor."""
+    """The quaternion times a factor."""
     return a[0] * factor, a[1] * factor, a[2] * factor, a[3] * factor
 
 
 @inlined
-def through_normalisation(gradient, unit, inverse):
-    """Gradient by a quaternion from that by its `unit`; `inverse` is one over its length."""
+def normalize_backward(gradient, unit, inverse):
+    """Gradient of a quaternion, given that of its normalization `unit` and the reciprocal of its length, `inverse`."""
     along = gradient[0] * unit[0] + gradient[1] * unit[1] + gradient[2] * unit[2] + gradient[3] * unit[3]
     return (
         (gradient[0] - along * unit[0]) * inverse,
@@ -53,19 +53,13 @@ def through_normalisation(gradient, unit, inverse):
 
 @inlined
 def row(array, n):
-    """A quaternion from an array [N, 4]."""
+    """Row `n` of an array [N, 4]."""
     return array[n, 0], array[n, 1], array[n, 2], array[n, 3]
 
 
 @inlined
-def put(array, n, a):
-    """A quaternion into an array [N, 4]."""
-    array[n, 0], array[n, 1], array[n, 2], array[n, 3] = a
-
-
-@inlined
 def from_matrix(m, n):
-    """Unit quaternion of rotation `n` of an array [N, 3, 3], by its largest part as `matrix_to_quaternion` does."""
+    """Unit quaternion of matrix `n` of an array [N, 3, 3], from its largest component as in `matrix_to_quaternion`."""
     one = np.float32(1)
     m00, m11, m22 = m[n, 0, 0], m[n, 1, 1], m[n, 2, 2]
     x, y, z = m[n, 2, 1] - m[n, 1, 2], m[n, 0, 2] - m[n, 2, 0], m[n, 1, 0] - m[n, 0, 1]

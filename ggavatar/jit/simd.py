@@ -1,7 +1,8 @@
-"""A 16-lane float vector for compiled kernels: LLVM's `<16 x float>` as a Numba type.
+"""A 16-lane float vector for compiled kernels: LLVM's `<16 x float>` as a numba type.
 
-LLVM turns it into one AVX-512 register, two AVX or four NEON ones. Numba's own loops are vectorised by guesswork;
-here it is explicit. No operation carries fast-math flags, so a formula gives the same bits wherever it is inlined.
+LLVM maps it to one AVX-512 register, two AVX or four NEON ones. Whether LLVM vectorizes an ordinary loop depends on
+heuristics; here vectors are explicit. No operation has fast-math flags, so a formula gives the same bits wherever it is
+inlined.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ _VECTOR, _MASK, _INTS = ir.VectorType(_F32, LANES), ir.VectorType(ir.IntType(1),
 
 
 class _LanesType(types.Type):
-    """Sixteen float32."""
+    """The numba type of sixteen float32."""
 
 
 class _FlagsType(types.Type):
-    """Sixteen truth values."""
+    """The numba type of sixteen booleans."""
 
 
 lanes = _LanesType("lanes16")
@@ -56,7 +57,7 @@ def _splat(builder: ir.IRBuilder, value: ir.Value) -> ir.Value:
 
 
 def _as_vector(context: Any, builder: ir.IRBuilder, value: ir.Value, kind: types.Type) -> ir.Value:
-    """A vector from a vector or from any number."""
+    """Convert a number to a vector; vectors stay as they are."""
     if isinstance(kind, _LanesType):
         return value
     return _splat(builder, context.cast(builder, value, kind, types.float32))
@@ -69,7 +70,7 @@ def call(builder: ir.IRBuilder, name: str, arguments: list[ir.Value], result: ir
 
 
 def _binary(function: Any, result: types.Type, build: Callable[[ir.IRBuilder, ir.Value, ir.Value], ir.Value]) -> None:
-    """Give an operator to vectors, and to a vector with a number on either side."""
+    """Define a binary operator for two vectors, and for a vector and a number on either side."""
     pairs = [(lanes, lanes), (lanes, types.float32), (types.float32, lanes)]
 
     class Typing(ConcreteTemplate):
@@ -89,7 +90,7 @@ def _binary(function: Any, result: types.Type, build: Callable[[ir.IRBuilder, ir
 
 
 def _logic(function: Any, build: Callable[[ir.IRBuilder, ir.Value, ir.Value], ir.Value]) -> None:
-    """Give a logical operator to truth values."""
+    """Define a logical operator for vectors of booleans."""
 
     class Typing(ConcreteTemplate):
         key = function
@@ -104,7 +105,7 @@ def _logic(function: Any, build: Callable[[ir.IRBuilder, ir.Value, ir.Value], ir
 
 
 def _unary(function: Any, build: Callable[[ir.IRBuilder, ir.Value], ir.Value]) -> None:
-    """Give an operator of one vector."""
+    """Define a unary operator for vectors."""
 
     class Typing(ConcreteTemplate):
         key = function
@@ -132,7 +133,7 @@ _logic(operator.or_, lambda builder, a, b: builder.or_(a, b))
 
 
 def _elementwise(count: int, build: Callable[..., ir.Value]) -> Any:
-    """An intrinsic of `count` vectors or numbers that gives a vector."""
+    """An intrinsic of `count` vectors or numbers that returns a vector."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         return build(
@@ -154,7 +155,7 @@ def _larger(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
-# A comparison and a select is what LLVM folds into one minps / maxps; the second operand wins where one is NaN.
+# LLVM turns the comparison and select into one minps / maxps; the result is the second operand if one is NaN.
 minimum = _elementwise(2, _smaller)
 maximum = _elementwise(2, _larger)
 fma = _elementwise(3, lambda builder, a, b, c: call(builder, "llvm.fma.v16f32", [a, b, c]))
@@ -167,11 +168,11 @@ splat = _elementwise(1, lambda builder, a: a)
 
 
 def _exp2(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
-    """2 to the x for x in [-126, 127], relative error 2.6e-6; anything for other x.
+    """2ˣ for x in [-126, 127], relative error 2.6e-6; undefined for other x.
 
-    x = n + f with |f| ≤ ½; a minimax polynomial for 2 to the f, and n added to its exponent bits.
+    x = n + f with |f| ≤ ½; a minimax polynomial of 2ᶠ, with n added to its exponent bits.
     """
-    magic = constant(12582912.0)  # 1.5 · 2²³: adding it leaves round(x) in the low bits
+    magic = constant(12582912.0)  # 1.5 · 2²³; adding it leaves round(x) in the low bits
     shifted = builder.fadd(x, magic)
     fraction = builder.fsub(x, builder.fsub(shifted, magic))
     value = constant(0.0095701)
@@ -182,9 +183,9 @@ def _exp2(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
 
 
 def _log2(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
-    """Binary logarithm of normal positive x: exponent bits plus the area-hyperbolic-tangent series of the mantissa."""
+    """Binary logarithm of normal positive x: the exponent plus the artanh series of the mantissa."""
     bits = builder.bitcast(x, _INTS)
-    offset = builder.sub(bits, constant(0x3F3504F3, _I32))  # the bits of √½: mantissas come out in [√½, √2)
+    offset = builder.sub(bits, constant(0x3F3504F3, _I32))  # the bits of √½, so that mantissas are in [√½, √2)
     exponent = builder.ashr(offset, constant(23, _I32))
     mantissa = builder.bitcast(builder.sub(bits, builder.shl(exponent, constant(23, _I32))), _VECTOR)
     ratio = builder.fdiv(builder.fsub(mantissa, constant(1.0)), builder.fadd(mantissa, constant(1.0)))
@@ -196,15 +197,15 @@ def _log2(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
 
 
 def _exp(builder: ir.IRBuilder, x: ir.Value) -> ir.Value:
-    """E to the x, relative error 1.2e-7; x below −87 or above 88.7 counts as these, and NaN stays NaN.
+    """The exponential eˣ, relative error 1.2e-7; x is clamped to [−87, 88.7], and NaN stays NaN.
 
-    x = n ln 2 + r with |r| ≤ ½ ln 2, ln 2 in two parts, and the polynomial of the Cephes library for e to the r.
+    x = n ln 2 + r with |r| ≤ ½ ln 2, ln 2 split in two parts, and the Cephes library's polynomial of eʳ.
     """
-    inside = _smaller(builder, _larger(builder, x, constant(-87.0)), constant(88.7))
+    clamped = _smaller(builder, _larger(builder, x, constant(-87.0)), constant(88.7))
     magic = constant(12582912.0)  # as in `_exp2`
-    shifted = call(builder, "llvm.fma.v16f32", [inside, constant(1.4426950408889634), magic])
+    shifted = call(builder, "llvm.fma.v16f32", [clamped, constant(1.4426950408889634), magic])
     whole = builder.fneg(builder.fsub(shifted, magic))
-    rest = call(builder, "llvm.fma.v16f32", [whole, constant(0.693359375), inside])
+    rest = call(builder, "llvm.fma.v16f32", [whole, constant(0.693359375), clamped])
     rest = call(builder, "llvm.fma.v16f32", [whole, constant(-2.12194440e-4), rest])
     value = constant(1.9875691500e-4)
     for coefficient in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1, 1.0, 1.0):
@@ -221,7 +222,7 @@ log2 = _elementwise(1, _log2)
 
 @intrinsic
 def select(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
-    """Lane by lane `yes` where the condition holds, else `no`."""
+    """Per lane `yes` where the condition holds, else `no`."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         yes, no = (
@@ -234,22 +235,12 @@ def select(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
 
 @intrinsic
 def bits_of(typingctx: Any, condition: Any) -> Any:
-    """The sixteen truth values as the low bits of an int64."""
+    """Sixteen booleans as the low bits of an int64."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         return builder.zext(builder.bitcast(args[0], _I16), _I64)
 
     return types.int64(condition), lower
-
-
-@intrinsic
-def flags_of(typingctx: Any, bits: Any) -> Any:
-    """Truth values from the low sixteen bits of an integer."""
-
-    def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
-        return builder.bitcast(builder.trunc(args[0], _I16), _MASK)
-
-    return flags(bits), lower
 
 
 @intrinsic
@@ -267,8 +258,8 @@ def total(typingctx: Any, value: Any) -> Any:
 
 
 @intrinsic
-def ramp(typingctx: Any) -> Any:
-    """The numbers of the lanes: 0, 1, … 15."""
+def lane_indices(typingctx: Any) -> Any:
+    """The lane numbers 0, 1, … 15."""
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> ir.Value:
         return ir.Constant(_VECTOR, [float(lane) for lane in range(LANES)])

@@ -1,7 +1,8 @@
 """The thread pool that compiled kernels run on.
 
-Kernels release the GIL and never start threads of their own: `run` hands them out in fixed chunks. Results therefore
-do not depend on the number of threads, two callers never disturb each other, and a forked child starts a new pool.
+Kernels release the GIL and never start threads of their own: `run` and `run_workers` distribute fixed pieces of work.
+Results therefore do not depend on the number of threads, two callers never disturb each other, and a forked child
+starts a new pool.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _pools: dict[int, ThreadPoolExecutor] = {}
 
 
 def _forget_pools() -> None:
-    """A forked child has none of its parent's threads."""
+    """Start anew in a forked child, which has none of its parent's threads."""
     _pools.clear()
 
 
@@ -27,7 +28,10 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
 
 
 def run(task: Callable[[int], None], count: int) -> None:
-    """Call `task(0)` … `task(count - 1)` on the threads torch may use, the caller too; raises what they raise."""
+    """Call `task(0)` … `task(count - 1)` on as many threads as torch may use, the caller's included.
+
+    Exceptions of the tasks are raised here.
+    """
     threads = min(torch.get_num_threads(), count)
     if threads <= 1:
         for index in range(count):
@@ -46,24 +50,24 @@ def run(task: Callable[[int], None], count: int) -> None:
     try:
         work()
     finally:
-        # One that has not begun (its thread is busy for another caller) is not waited for: the work is done without it.
-        begun = [helper for helper in helpers if not helper.cancel()]
-        for helper in begun:
-            helper.exception()  # waits, as `wait` would, without an event of its own
-    for helper in begun:
+        # Helpers that have not started (their thread is busy for another caller) are canceled: all work is done.
+        started = [helper for helper in helpers if not helper.cancel()]
+        for helper in started:
+            helper.exception()  # waits like `concurrent.futures.wait`, but without creating an event
+    for helper in started:
         helper.result()
 
 
-def workers() -> int:
-    """How many threads `share` uses at most."""
+def max_workers() -> int:
+    """Largest number of threads that `run_workers` uses."""
     return torch.get_num_threads()
 
 
-def share(function: Callable[..., Any], pieces: int, *arguments: Any) -> None:
-    """Let the threads call `function(tickets, *arguments)`, which takes pieces of work by raising `tickets[0]`.
+def run_workers(function: Callable[..., Any], pieces: int, *arguments: Any) -> None:
+    """Call `function(tickets, *arguments)` once per thread; it takes pieces of work by incrementing `tickets[0]`.
 
-    `tickets[1]` numbers the workers, for scratch memory of their own. This costs one call per thread, where
-    `run` costs one per piece.
+    Workers number themselves by incrementing `tickets[1]`, to have scratch memory of their own. This costs one call per
+    thread, where `run` costs one per piece.
     """
     tickets = np.zeros(2, np.int64)
-    run(lambda _: function(tickets, *arguments), min(workers(), pieces))
+    run(lambda _: function(tickets, *arguments), min(max_workers(), pieces))

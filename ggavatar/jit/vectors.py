@@ -1,4 +1,4 @@
-"""Small vectors as separate columns."""
+"""Triples and quadruples of 16-lane vectors: a column each for sixteen rows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ggavatar.jit.simd import fma
 
 @inlined
 def columns_3(array, first, last):
-    """Three columns of sixteen rows; rows beyond `last` repeat it."""
+    """The columns of sixteen consecutive rows of an array [N, 3]; rows beyond `last` repeat it."""
     if first + 15 <= last:
         return load_columns_3(array, first * 3)
     return (
@@ -21,7 +21,7 @@ def columns_3(array, first, last):
 
 @inlined
 def columns_4(array, first, last):
-    """Four columns of sixteen rows; rows beyond `last` repeat it."""
+    """The columns of sixteen consecutive rows of an array [N, 4]; rows beyond `last` repeat it."""
     if first + 15 <= last:
         return load_columns_4(array, first * 4)
     a, b = gather_rows(array, first, last, 4, 0), gather_rows(array, first, last, 4, 1)
@@ -30,5 +30,5 @@ def columns_4(array, first, last):
 
 @inlined
 def dot(a, b):
-    """Inner product of two triples of vectors."""
+    """Dot product of two triples of vectors."""
     return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))

@@ -1,1 +1,1 @@
-"""Faces in pictures: where they are, 478 landmarks and 52 blendshape scores. Networks of one file, run by OpenCV."""
+"""Face detection, 478 face landmarks and 52 blendshape scores, by MediaPipe's networks run in OpenCV."""

@@ -1,7 +1,7 @@
-"""An average face for when the canonical one is not at hand: where the network sees its landmarks on drawn people.
+"""An average face for use without MediaPipe's canonical one: where the network finds its landmarks on generated people.
 
-The landmarks of the embedded subjects 1 to 3, looked up on their known meshes in 300 frames, laid on the generic
-procedural head, averaged and made symmetric. The subjects agree to 0.7 mm.
+The landmarks of the generated persons 1 to 3, located on their known meshes in 300 frames, transferred to the generic
+procedural head, averaged and made symmetric. The persons agree to 0.7 mm.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from ggavatar.landmarks.bundle import CanonicalFace
 
-_TENTH_MILLIMETRES = """
+_TENTH_MILLIMETERS = """
     0,-400,573 0,-199,701 0,-261,609 -49,20,617 0,-134,728 0,-47,695 0,177,559 -411,225,344 0,362,565 0,449,577
     0,731,552 0,-425,577 0,-448,571 0,-460,565 0,-469,562 0,-489,559 0,-526,555 0,-570,535 0,-628,521 0,-234,664
     -56,-233,639 -660,497,133 -243,163,387 -302,157,385 -360,160,378 -433,205,352 -192,178,379 -340,366,416
@@ -69,7 +69,7 @@ _TENTH_MILLIMETRES = """
 """
 
 
-def drawn_face() -> CanonicalFace:
-    """The average drawn face; same axes and numbering as `canonical_face`."""
-    points = [[int(number) for number in triple.split(",")] for triple in _TENTH_MILLIMETRES.split()]
+def average_face() -> CanonicalFace:
+    """The average face of generated people; axes and numbering are those of `canonical_face`."""
+    points = [[int(number) for number in triple.split(",")] for triple in _TENTH_MILLIMETERS.split()]
     return CanonicalFace(np.array(points, dtype=np.float64) * 1e-4)

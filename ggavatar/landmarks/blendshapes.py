@@ -1,4 +1,4 @@
-"""The 52 blendshape scores that the face landmarker bundle derives from its landmarks."""
+"""The 52 blendshape scores that MediaPipe's face landmarker bundle derives from its landmarks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ggavatar.landmarks.bundle import load_network
 
-# MediaPipe, face_blendshapes_graph.cc: the landmarks the network reads, and the names of its outputs.
+# From MediaPipe's face_blendshapes_graph.cc: the landmarks that the network reads, and the names of its outputs.
 _SUBSET = """
     0 1 4 5 6 7 8 10 13 14 17 21 33 37 39 40 46 52 53 54 55 58 61 63 65 66 67 70 78 80 81 82 84 87 88 91 93 95
     103 105 107 109 127 132 133 136 144 145 146 148 149 150 152 153 154 155 157 158 159 160 161 162 163 168 172
@@ -28,16 +28,22 @@ _NAMES = """
     noseSneerRight
 """
 LANDMARK_SUBSET = np.array(_SUBSET.split(), dtype=np.int64)
+"""Indices of the 146 landmarks that the network reads."""
+
 NAMES = tuple(_NAMES.split())
+"""Names of the scores."""
 
 
 class BlendshapeNetwork:
-    """Scores of ARKit's blendshapes from landmarks; the network normalises position and size itself."""
+    """Scores of ARKit's blendshapes from landmarks; the network normalizes position and size itself.
+
+    Not thread-safe: OpenCV networks store their input.
+    """
 
     def __init__(self, bundle: Path) -> None:
         self._network = load_network(bundle, "blendshapes")
 
     def scores(self, points: Float[np.ndarray, "478 2"]) -> Float[np.ndarray, " 52"]:
-        """Scores in [0, 1], in the order of `NAMES`, of landmarks in px."""
+        """Scores in [0, 1], in the order of `NAMES`, given landmarks in px."""
         self._network.setInput(np.ascontiguousarray(points[LANDMARK_SUBSET][None], dtype=np.float32))
         return self._network.forward().reshape(-1).copy()

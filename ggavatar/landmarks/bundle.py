@@ -1,6 +1,7 @@
-"""What is inside `face_landmarker.task`: three networks and the canonical face they refer to.
+"""Reads MediaPipe's `face_landmarker.task` (three networks and the canonical face) and single `.tflite` networks.
 
-Read without trusting the file. Networks may also come as files of their own.
+The file is not trusted: sizes are bounded, and damage raises `InputError`. The canonical face is one repeated
+float field of a protocol buffer, which 25 lines read; `protobuf` would need classes generated from MediaPipe's .proto.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ from jaxtyping import Float
 
 from ggavatar.errors import InputError
 
-LARGEST_MEMBER = 64 * 1024 * 1024
+MAX_MEMBER_BYTES = 64 * 1024 * 1024
+"""Largest network or part of the bundle that is read (64 MiB)."""
+
 MEMBERS = {
     "detector": "face_detector.tflite",
     "landmarks": "face_landmarks_detector.tflite",
     "blendshapes": "face_blendshapes.tflite",
     "geometry": "geometry_pipeline_metadata_landmarks.binarypb",
 }
-ADVICE = "fetch it again: ggavatar-prep --help names the official address"
+"""File names of the bundle's parts."""
+
+ADVICE = "download it again; ggavatar-prep --help names the official address"
 
 
 @dataclass(frozen=True)
@@ -33,66 +38,74 @@ class CanonicalFace:
     """The average face whose vertices are the first 468 landmarks.
 
     Attributes:
-        vertices: Positions, m; +Y up, face towards +Z, +X the subject's left.
+        vertices: Positions, m; +Y up, face toward +Z, +X the subject's left.
     """
 
     vertices: Float[np.ndarray, "468 3"]
 
 
 def read_member(bundle: Path, part: str) -> bytes:
-    """One part of the bundle ("detector", "landmarks", "blendshapes", "geometry").
+    """Read one part of the bundle: "detector", "landmarks", "blendshapes" or "geometry".
 
     Raises:
-        InputError: The file is no zip, lacks the part, or the part is larger than 64 MiB or damaged.
+        InputError: The file is not a zip or lacks the part, or the part is damaged or larger than 64 MiB.
     """
     name = MEMBERS[part]
     try:
         with zipfile.ZipFile(bundle) as archive:
             size = archive.getinfo(name).file_size
-            if size > LARGEST_MEMBER:
-                raise InputError(f"{bundle}: {name} states {size} bytes, expected at most {LARGEST_MEMBER}; {ADVICE}")
+            if size > MAX_MEMBER_BYTES:
+                raise InputError(
+                    f"{bundle}: expected at most {MAX_MEMBER_BYTES} bytes of {name}, found {size}; {ADVICE}"
+                )
             with archive.open(name) as member:
-                content = member.read(LARGEST_MEMBER + 1)
+                content = member.read(MAX_MEMBER_BYTES + 1)
     except KeyError as error:
-        raise InputError(f"{bundle}: expected a face landmarker bundle holding {name}, found none; {ADVICE}") from error
+        raise InputError(
+            f"{bundle}: expected a face landmarker bundle with {name}, which is missing; {ADVICE}"
+        ) from error
     except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise InputError(
             f"{bundle}: expected a face landmarker bundle (a zip archive), found {error}; {ADVICE}"
         ) from error
     if len(content) != size:
-        raise InputError(f"{bundle}: {name} should have {size} bytes, found {len(content)}; {ADVICE}")
+        raise InputError(f"{bundle}: expected {size} bytes of {name}, found {len(content)}; {ADVICE}")
     return content
 
 
 def load_network(path: Path, part: str) -> cv2.dnn.Net:
-    """A network of the bundle, or one with a `.tflite` file of its own, ready for OpenCV's DNN on the CPU.
+    """Load a network, from the bundle or from a `.tflite` file of its own, into OpenCV's DNN module on the CPU.
 
     Args:
         path: The bundle or the network's file.
-        part: Which one; of a bundle its key in `MEMBERS`.
+        part: Name of the network; for a bundle its key in `MEMBERS`.
 
     Raises:
-        InputError: Not to be read, or not a network that OpenCV knows.
+        InputError: The file cannot be read, or OpenCV does not support the network.
     """
-    single = path.suffix == ".tflite"
-    content = read_single(path) if single else read_member(path, part)
+    is_network_file = path.suffix == ".tflite"
+    content = _read_network_file(path) if is_network_file else read_member(path, part)
     try:
         return cv2.dnn.readNetFromTFLite(np.frombuffer(content, np.uint8))
     except cv2.error as error:
-        name = part if single else MEMBERS[part]
+        name = part if is_network_file else MEMBERS[part]
         raise InputError(f"{path}: OpenCV {cv2.__version__} cannot read {name} ({error.err}); {ADVICE}") from error
 
 
-def read_single(path: Path) -> bytes:
-    """A network's own file; `InputError` if it is larger than 64 MiB."""
+def _read_network_file(path: Path) -> bytes:
+    """Read a network's own file, which must not exceed 64 MiB."""
     size = path.stat().st_size
-    if size > LARGEST_MEMBER:
-        raise InputError(f"{path}: {size} bytes, expected a network of at most {LARGEST_MEMBER}; {ADVICE}")
+    if size > MAX_MEMBER_BYTES:
+        raise InputError(f"{path}: expected a network of at most {MAX_MEMBER_BYTES} bytes, found {size}; {ADVICE}")
     return path.read_bytes()
 
 
 def canonical_face(bundle: Path) -> CanonicalFace:
-    """The canonical face of the bundle's geometry metadata (protocol buffer: mesh = 1)."""
+    """Read the canonical face from the bundle's geometry metadata.
+
+    Raises:
+        InputError: As in `read_member`, or the metadata is damaged.
+    """
     content = read_member(bundle, "geometry")
     try:
         return _parse_geometry(content)
@@ -101,18 +114,19 @@ def canonical_face(bundle: Path) -> CanonicalFace:
 
 
 def _parse_geometry(content: bytes) -> CanonicalFace:
+    """Parse a geometry message, whose mesh is field 1."""
     vertices = np.zeros((0, 5))
     for number, value in _fields(content):
         if number == 1:
             vertices = _parse_vertices(value)
     if vertices.shape != (468, 5) or not np.isfinite(vertices).all():
         raise ValueError(f"{len(vertices)} vertices, expected 468 finite ones")
-    centimetre = 0.01
-    return CanonicalFace(vertices[:, :3] * centimetre)
+    meters_per_unit = 0.01
+    return CanonicalFace(vertices[:, :3] * meters_per_unit)
 
 
 def _parse_vertices(content: bytes) -> np.ndarray:
-    """Vertices (x, y, z, u, v) of a mesh message: its floats are field 3."""
+    """Vertices (x, y, z, u, v) of a mesh message, whose floats are field 3."""
     return np.array([value for number, value in _fields(content) if number == 3], dtype=np.float64).reshape(-1, 5)
 
 
@@ -121,23 +135,23 @@ def _fields(content: bytes) -> Iterator[tuple[int, Any]]:
     position = 0
     while position < len(content):
         tag, position = _varint(content, position)
-        kind = tag & 7
-        if kind == 0:
+        wire_type = tag & 7
+        if wire_type == 0:
             value, position = _varint(content, position)
             yield tag >> 3, value
-        elif kind == 2:
+        elif wire_type == 2:
             length, position = _varint(content, position)
             yield tag >> 3, content[position : position + length]
             position += length
-        elif kind == 5:
+        elif wire_type == 5:
             yield tag >> 3, struct.unpack_from("<f", content, position)[0]
             position += 4
         else:
-            raise ValueError(f"wire type {kind} at byte {position}")
+            raise ValueError(f"unknown wire type {wire_type} at byte {position}")
 
 
 def _varint(content: bytes, position: int) -> tuple[int, int]:
-    """An integer in base 128, least significant first, and the position after it."""
+    """Decode an integer in base 128, least significant digit first; returns it and the position after it."""
     value = 0
     for shift in range(0, 64, 7):
         byte = content[position]
@@ -145,4 +159,4 @@ def _varint(content: bytes, position: int) -> tuple[int, int]:
         value |= (byte & 127) << shift
         if byte < 128:
             return value, position
-    raise ValueError(f"an endless integer at byte {position}")
+    raise ValueError(f"an unterminated integer at byte {position}")

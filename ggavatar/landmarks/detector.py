@@ -1,4 +1,4 @@
-"""Finding the largest face of a frame with the short-range detector of the face landmarker bundle."""
+"""Detection of the most prominent face of a frame, with the short-range detector of the face landmarker bundle."""
 
 from __future__ import annotations
 
@@ -12,10 +12,19 @@ from jaxtyping import Float, UInt8
 from ggavatar.landmarks.bundle import load_network
 
 INPUT_SIZE = 128
+"""Side of the network's input, px."""
+
 MINIMUM_SCORE = 0.5
-# The network sees faces of about an eighth of its input and more. Smaller ones are looked for in windows of these
-# fractions of the frame.
+"""Detections with a lower score are discarded."""
+
+MINIMUM_OVERLAP = 0.3
+"""Intersection over union from which detections are averaged with the best one."""
+
 WINDOW_FRACTIONS = (0.5, 0.28)
+"""Sides of the windows in which small faces are searched, as fractions of the frame's longer side.
+
+The network detects faces from about an eighth of its input on.
+"""
 
 
 @dataclass(frozen=True)
@@ -23,9 +32,9 @@ class FaceBox:
     """A detected face.
 
     Attributes:
-        center: Of the box, px.
+        center: Center (x, y) of the box, px.
         side: Longer side of the box, px.
-        roll: Angle of the line from the subject's right to left eye against the image's x axis, rad.
+        roll: Angle from the image's x axis to the line from the subject's right to left eye, rad.
         score: Confidence in [0, 1].
     """
 
@@ -36,17 +45,17 @@ class FaceBox:
 
 
 class FaceDetector:
-    """The detector network. Not safe for two threads at once (OpenCV networks hold their input)."""
+    """The detector network. Not thread-safe: OpenCV networks store their input."""
 
     def __init__(self, path: Path) -> None:
-        """Load it from the face landmarker bundle or from a file of its own."""
+        """Load the network from the face landmarker bundle or from a file of its own."""
         self._network = load_network(path, "detector")
         self._anchors = _anchors()
 
     def detect(self, frame: UInt8[np.ndarray, "H W 3"]) -> FaceBox | None:
         """The best face of an RGB frame, or None.
 
-        The whole frame is tried first; only when it shows no face, overlapping windows are searched for a small one.
+        The whole frame is searched first; if no face is found, overlapping windows are searched for a small one.
         """
         found = self._in_window(frame, (0, 0, frame.shape[1], frame.shape[0]))
         for fraction in WINDOW_FRACTIONS:
@@ -77,29 +86,29 @@ class FaceDetector:
         )
 
     def _best(self, canvas: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """Score, box (two corners) and eye positions in network pixels.
+        """Score, box (two corners) and eye positions of the best face, in px of the network's input.
 
-        Blended over all overlapping detections of the best face.
+        Box and eyes are averaged over all detections that overlap with the best one.
         """
         blob = cv2.dnn.blobFromImage(canvas, 1 / 127.5, mean=(127.5, 127.5, 127.5))
         self._network.setInput(blob)
         logits, offsets = self._network.forward(("classificators", "regressors"))
         scores = 1 / (1 + np.exp(-np.clip(logits.reshape(-1), -50, 50)))
         offsets = offsets.reshape(-1, 16)
-        kept = np.flatnonzero(scores >= MINIMUM_SCORE)
-        if not len(kept):
+        likely = np.flatnonzero(scores >= MINIMUM_SCORE)
+        if not len(likely):
             return None
-        center, half = self._anchors[kept] + offsets[kept, :2], offsets[kept, 2:4] / 2
+        center, half = self._anchors[likely] + offsets[likely, :2], offsets[likely, 2:4] / 2
         boxes = np.concatenate((center - half, center + half), axis=1)
-        top = int(np.argmax(scores[kept]))
-        weights = scores[kept] * (_overlap(boxes[top], boxes) > 0.3)
-        eyes = offsets[kept, 4:8].reshape(-1, 2, 2) + self._anchors[kept, None]
+        top = int(np.argmax(scores[likely]))
+        weights = scores[likely] * (_overlap(boxes[top], boxes) > MINIMUM_OVERLAP)
+        eyes = offsets[likely, 4:8].reshape(-1, 2, 2) + self._anchors[likely, None]
         weights /= weights.sum()
-        return float(scores[kept][top]), weights @ boxes, np.einsum("n,nij->ij", weights, eyes)
+        return float(scores[likely][top]), weights @ boxes, np.einsum("n,nij->ij", weights, eyes)
 
 
 def _anchors() -> Float[np.ndarray, "896 2"]:
-    """Centres that the regressed offsets refer to, px: two on a 16 × 16 grid, then six on an 8 × 8 grid."""
+    """Centers that the regressed offsets refer to, px: two per cell of a 16 × 16 grid, then six of an 8 × 8 grid."""
     rows = []
     for cells, repeats in ((16, 2), (8, 6)):
         y, x = np.mgrid[:cells, :cells]
@@ -116,9 +125,9 @@ def _overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _windows(width: int, height: int, fraction: float) -> list[tuple[int, int, int, int]]:
-    """Square windows (left, top, width.
+    """Square windows (left, top, width, height) that cover the frame with half overlap.
 
-    Height) of a fraction of the longer side that cover the frame with half overlap.
+    Their side is `fraction` of the frame's longer side, at most the shorter one.
     """
     side = max(1, min(round(max(width, height) * fraction), width, height))
 

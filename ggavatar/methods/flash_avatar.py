@@ -34,16 +34,16 @@ from ggavatar.geometry.convex_hull import hull_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
 from ggavatar.geometry.uv_sampling import (
     SurfaceSamples,
-    ever_facing,
+    camera_facing,
     face_areas,
-    open_rim,
+    lower_boundary,
     strip_samples,
     texel_samples,
 )
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
-from ggavatar.jit.bfloat16 import product_type
+from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import huber
 from ggavatar.losses.vgg_term import PerceptualTerm
@@ -293,7 +293,7 @@ def make_network(config: Config, scene: Scene) -> ConditionedPerceptron:
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
     conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
     features = 3 + 6 * config.octaves
-    hidden_type = product_type(scene.background.device) if config.hidden_type == "fastest" else None
+    hidden_type = matmul_dtype(scene.background.device) if config.hidden_type == "fastest" else None
     network = ConditionedPerceptron(
         features, conditions, config.hidden, config.depth, 10, seeded(scene.seed, 5), hidden_type
     )
@@ -324,7 +324,7 @@ def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSa
     allowed = torch.ones(len(head.faces), dtype=torch.bool, device=head.faces.device)
     if config.boundary == "drop":
         rim = head.regions.get("boundary")
-        touching = open_rim(head.template, head.faces) if rim is None else torch.isin(head.faces, rim).any(-1)
+        touching = lower_boundary(head.template, head.faces) if rim is None else torch.isin(head.faces, rim).any(-1)
         allowed = ~touching
     if config.layout == "strip" or head.uv is None:
         room = face_areas(head.neutral(), head.faces) ** config.room_power * allowed
@@ -346,4 +346,4 @@ def _ever_seen(scene: Scene, poses: HeadPoses) -> Tensor:
         return torch.ones(len(scene.head.faces), dtype=torch.bool, device=scene.head.faces.device)
     chosen = spaced(tuple(range(len(scene.drives))), VIEWS)
     posed = [poses.hold_torso(scene.head.vertices(scene.drives[row]), scene.drives[row], scene.head) for row in chosen]
-    return ever_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)
+    return camera_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)

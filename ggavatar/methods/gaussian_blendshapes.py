@@ -31,8 +31,8 @@ from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.density_control import DensityControl, accumulate, statistics
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
-from ggavatar.geometry.deformation_transfer import FaceChanges, transferred
-from ggavatar.geometry.surface_sampling import spread_points
+from ggavatar.geometry.deformation_transfer import FaceDeformations, transfer_blendshapes
+from ggavatar.geometry.surface_sampling import sample_surface
 from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
@@ -321,14 +321,14 @@ def coefficient_spreads(head: HeadModel, drives: tuple[Drive, ...]) -> Float[Ten
     return torch.where(spreads > 1e-6, spreads, torch.zeros_like(spreads))
 
 
-def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceChanges, FaceSkin]:
+def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceDeformations, FaceSkin]:
     """Mesh blendshapes and skinning of every triangle; with `teeth`, of two more that follow the head and the jaw."""
     displacements = torch.cat((head.expression_basis, head.eyelid_basis), dim=2) * spreads
-    changes, skin = transferred(head.template, head.faces, displacements), FaceSkin.of(head)
+    changes, skin = transfer_blendshapes(head.template, head.faces, displacements), FaceSkin.of(head)
     if not teeth:
         return changes, skin
     rigid = [head.joint(name if name in head.joint_names else head.joint_names[0]) for name in ("neck", "jaw")]
-    return changes.with_still(2), skin.with_rigid(rigid)
+    return changes.with_static_faces(2), skin.with_rigid(rigid)
 
 
 def strongest(displacement: Float[Tensor, "F K"], config: Config) -> tuple[Tensor, Tensor]:
@@ -366,7 +366,7 @@ def first_rows(config: Config, scene: Scene, mouth: MouthCylinder | None, differ
     """Small grey Gaussians spread over the mesh and in the mouth, as large as they are apart, without differences."""
     head, generator = scene.head, seeded(scene.seed, 4)
     wanted = min(config.first_gaussians, int(0.6 * scene.max_gaussians))
-    means, face, apart = spread_points(head.neutral(), head.faces, wanted, generator)
+    means, face, apart = sample_surface(head.neutral(), head.faces, wanted, generator)
     log_scales = torch.full((len(means), 3), apart).log()
     if mouth is not None:
         each = round(config.mouth_gaussians * wanted)

@@ -20,7 +20,7 @@ from ggavatar.core import Drive, Frame, Rasterizer, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
-from ggavatar.jit.bfloat16 import product_type
+from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
 from ggavatar.losses.vgg_term import PerceptualTerm
@@ -189,7 +189,7 @@ class PointAvatar(nn.Module):
         self.cloud = PointCloud(
             config.points, config.sphere, config.radius_factor, config.rate, self._random(1), self._start()
         )
-        hidden_type = product_type(scene.background.device) if config.hidden_type == "fastest" else None
+        hidden_type = matmul_dtype(scene.background.device) if config.hidden_type == "fastest" else None
         sizes = CanonicalConfig(config.surface_width, config.surface_layers, octaves=config.surface_octaves)
         self.surface = CanonicalNetwork(sizes, self._random(2), hidden_type)
         shapes = len(self.targets.blendshapes[0])

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.jit.bfloat16 import in_whole_groups
+from ggavatar.jit.bfloat16 import padded_indices
 from ggavatar.networks.morph_adjuster import linear
 
 GROUP = 1024
@@ -79,7 +79,7 @@ class _Rows(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
         half = len(ctx.saved_tensors) // 2
         kept, weights = ctx.saved_tensors[:half], ctx.saved_tensors[half:]
-        active = in_whole_groups(upstream.any(-1), GROUP)
+        active = padded_indices(upstream.any(-1), GROUP)
         gradient, found = upstream[active], []
         for number in reversed(range(half)):
             inputs = kept[number][active]

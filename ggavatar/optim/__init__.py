@@ -1,1 +1,1 @@
-"""What is optimised and how: row-aligned parameters, schedules, seeds, corrections of the tracking."""
+"""Optimization: row-aligned parameters, learning-rate schedules, seeded generators, corrections of the tracking."""

@@ -1,8 +1,8 @@
-"""Rows: tensors that share their first dimension, one row a Gaussian, together with the state of their optimiser.
+"""Row-aligned tensors, one row per Gaussian, together with the state of their optimizer.
 
-Learnable columns are optimised, each with its own rate; carried columns (a face index, a statistic) merely follow.
-Adding and removing rows keeps the moments of the survivors and starts the newborn at zero, as in 3D Gaussian
-Splatting's density control.
+Learnable columns are optimized, each at its own rate; carried columns (a face index, a statistic) only follow the rows.
+Adding and removing rows keeps the optimizer's moments of the remaining rows and starts new rows at zero, as in 3D
+Gaussian Splatting's density control.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from torch import Tensor, nn
 
 
 class Column(NamedTuple):
-    """A learnable column to begin with.
+    """Initial values and learning rate of a learnable column.
 
     Attributes:
-        values: First dimension is the row.
-        rate: Learning rate, in units of the column.
+        values: Initial values; the first dimension is the row.
+        rate: Learning rate, in the column's unit.
     """
 
     values: Tensor
@@ -28,9 +28,9 @@ class Column(NamedTuple):
 
 
 class Rows(nn.Module):
-    """Row-aligned learnable and carried columns with one optimiser for all learnable ones.
+    """Row-aligned learnable and carried columns, with one optimizer for all learnable ones.
 
-    The number of rows is part of the state: `load_state_dict` accepts any and resizes this object to it.
+    The number of rows is part of the state: `load_state_dict` accepts any number and resizes the object to it.
     """
 
     def __init__(
@@ -39,12 +39,15 @@ class Rows(nn.Module):
         carried: Mapping[str, Tensor] | None = None,
         make_optimizer: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None,
     ) -> None:
-        """Build the columns and their optimiser.
+        """Copy the columns and build their optimizer.
 
         Args:
-            learnable: Columns to optimise, by name.
-            carried: Columns that follow the rows without being optimised, by name.
-            make_optimizer: From parameter groups (`params`, `lr`, `name`); Adam with ε = 1e-15 (3DGS) by default.
+            learnable: Columns to optimize, by name.
+            carried: Columns that follow the rows without being optimized, by name.
+            make_optimizer: Called with parameter groups (`params`, `lr`, `name`); default Adam with ε = 1e-15 (3DGS).
+
+        Raises:
+            ValueError: The columns differ in length.
         """
         super().__init__()
         self.learnable = nn.ParameterDict(
@@ -73,7 +76,7 @@ class Rows(nn.Module):
         return {**dict(self.learnable.items()), **dict(self.carried.named_buffers())}
 
     def set_rate(self, name: str, rate: float) -> None:
-        """Change the learning rate of a learnable column."""
+        """Set the learning rate of a learnable column."""
         self._group(name)["lr"] = rate
 
     def rate(self, name: str) -> float:
@@ -82,24 +85,24 @@ class Rows(nn.Module):
 
     @torch.no_grad()
     def take(self, index: Int[Tensor, " M"]) -> None:
-        """Keep the rows of `index`, in its order; their optimiser state stays theirs."""
+        """Keep the rows at `index`, in that order, with their optimizer state."""
         self._transform(lambda _, values: values[index], lambda moments: moments[index])
 
     @torch.no_grad()
-    def append(self, newborn: Mapping[str, Tensor]) -> None:
-        """Add rows at the end; their moments are zero.
+    def append(self, new_rows: Mapping[str, Tensor]) -> None:
+        """Add rows at the end, with zero moments.
 
         Args:
-            newborn: Values of every column by name.
+            new_rows: Values of every column by name.
 
         Raises:
-            ValueError: If a column is missing or unknown.
+            ValueError: A column is missing or unknown.
         """
-        if set(newborn) != set(self.columns()):
-            raise ValueError(f"expected the columns {sorted(self.columns())}, got {sorted(newborn)}")
-        count = len(next(iter(newborn.values())))
+        if set(new_rows) != set(self.columns()):
+            raise ValueError(f"expected the columns {sorted(self.columns())}, got {sorted(new_rows)}")
+        count = len(next(iter(new_rows.values())))
         self._transform(
-            lambda name, values: torch.cat((values, newborn[name].to(values.dtype))),
+            lambda name, values: torch.cat((values, new_rows[name].to(values.dtype))),
             lambda moments: torch.cat((moments, moments.new_zeros(count, *moments.shape[1:]))),
         )
 
@@ -111,21 +114,21 @@ class Rows(nn.Module):
             moments.zero_()
 
     def _transform(self, column: Callable[[str, Tensor], Tensor], moments: Callable[[Tensor], Tensor]) -> None:
-        """Put every column and every row-aligned tensor of the optimiser through a function."""
+        """Apply `column` to every column and `moments` to every row-aligned tensor of the optimizer."""
         for group in self.optimizer.param_groups:
             name, old = group["name"], group["params"][0]
             new = nn.Parameter(column(name, old.detach()).contiguous(), requires_grad=old.requires_grad)
-            followers = {key: moments(value).contiguous() for key, value in self._row_state(old).items()}
+            row_state = {key: moments(value).contiguous() for key, value in self._row_state(old).items()}
             state = self.optimizer.state.pop(old, None)
             if state is not None:
-                self.optimizer.state[new] = {**state, **followers}
+                self.optimizer.state[new] = {**state, **row_state}
             group["params"][0] = new
             self.learnable[name] = new
         for name, values in list(self.carried.named_buffers()):
             setattr(self.carried, name, column(name, values))
 
     def _row_state(self, parameter: nn.Parameter) -> dict[str, Tensor]:
-        """What the optimiser remembers of each row of a parameter."""
+        """The row-aligned tensors among a parameter's optimizer state."""
         state = self.optimizer.state.get(parameter, {})
         return {
             key: value
@@ -137,7 +140,7 @@ class Rows(nn.Module):
         for group in self.optimizer.param_groups:
             if group["name"] == name:
                 return group
-        raise KeyError(f"expected a column of {[g['name'] for g in self.optimizer.param_groups]}, got {name!r}")
+        raise KeyError(f"expected one of the columns {[g['name'] for g in self.optimizer.param_groups]}, got {name!r}")
 
 
 def _adam(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
@@ -145,7 +148,7 @@ def _adam(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
 
 
 def _resize_to_state(rows: nn.Module, state: Mapping[str, Tensor], prefix: str, *_: Any) -> None:
-    """Before loading: give the rows the number of the state, so that sizes match."""
+    """Before loading, resize the rows to their number in the state."""
     assert isinstance(rows, Rows)
     saved = next((values for key, values in state.items() if key.startswith(prefix + "learnable.")), None)
     if saved is not None and len(saved) != len(rows):

@@ -1,4 +1,4 @@
-"""Random generators that a resumed training finds again."""
+"""Random generators that a resumed training can recreate."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import torch
 
 
 def seeded(seed: int, *stream: int) -> torch.Generator:
-    """A generator that depends on a seed and on what it is for alone (a step, an epoch).
+    """A CPU generator that depends only on a seed and on what it is used for (a step, an epoch).
 
-    A resumed training therefore needs no state of it.
+    A resumed training therefore needs no saved generator state.
     """
     mixed = seed & 0xFFFFFFFFFFFFFFFF
     for number in stream:

@@ -1,6 +1,6 @@
-"""Corrections of tracked parameters, one set a training frame, learned together with the avatar (GaussianAvatars).
+"""Corrections of tracked parameters, one set per training frame, learned together with the avatar (GaussianAvatars).
 
-A frame that was never trained on has no correction: test frames and other drives are taken as they were tracked.
+A frame that was never trained on has no correction: test frames and other drives are used as they were tracked.
 """
 
 from __future__ import annotations
@@ -10,36 +10,36 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from ggavatar.core import Drive
 
 
 @dataclass(frozen=True)
 class CorrectionRates:
-    """Learning rates of what is corrected."""
+    """Learning rates of the corrected parameters."""
 
     expression: float = 1e-3
-    """Of expression coefficients, in their unit (GaussianAvatars)."""
+    """Rate of the expression coefficients, in their unit (GaussianAvatars)."""
     joint_rotations: float = 1e-5
-    """Of the axis-angle vectors of all joints, rad (GaussianAvatars)."""
+    """Rate of the axis-angle vectors of all joints, rad (GaussianAvatars)."""
     translation: float = 1e-6
-    """Of the head's translation, m (GaussianAvatars)."""
+    """Rate of the head's translation, m (GaussianAvatars)."""
 
 
 class DriveCorrections(nn.Module):
-    """What is added to the tracked expression, joint rotations and translation of every training frame.
+    """Learned offsets of the tracked expression, joint rotations and translation of every training frame.
 
     Attributes:
-        optimizer: Adam on all frames at once, ε = 1e-15: a frame coasts on its moments between two visits, as in
-            GaussianAvatars.
+        optimizer: Adam on all frames at once, ε = 1e-15. As in GaussianAvatars, a frame's corrections keep moving by
+            their moments between two visits.
 
     References:
         Qian et al. 2024, Sec. 3.4 and supplement: FLAME's parameters are fine-tuned, shape and offsets are not.
     """
 
     def __init__(self, drives: Sequence[Drive], rates: CorrectionRates) -> None:
-        """Corrections of zero for every drive that carries a frame number.
+        """Start with corrections of zero for every drive that has a frame number.
 
         Raises:
             ValueError: No drive has a frame number.
@@ -61,17 +61,13 @@ class DriveCorrections(nn.Module):
         return drive.frame in self._row
 
     def forward(self, drive: Drive) -> Drive:
-        """The corrected drive; the same one if its frame was never trained on."""
+        """The corrected drive; the drive itself if its frame was never trained on."""
         if not self.corrects(drive):
             return drive
         row = self._row[drive.frame]
         return dataclasses.replace(
             drive,
-            expression=_plus(drive.expression, self.expression, row),
-            joint_rotations=_plus(drive.joint_rotations, self.joint_rotations, row),
-            translation=_plus(drive.translation, self.translation, row),
+            expression=drive.expression + self.expression[row],
+            joint_rotations=drive.joint_rotations + self.joint_rotations[row],
+            translation=drive.translation + self.translation[row],
         )
-
-
-def _plus(tracked: Tensor, corrections: nn.Parameter, row: int) -> Tensor:
-    return tracked + corrections[row]

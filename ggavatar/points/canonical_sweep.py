@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ggavatar.jit.bfloat16 import in_whole_groups
+from ggavatar.jit.bfloat16 import padded_indices
 from ggavatar.points.canonical_reference import SKIP_SCALE, CanonicalConfig, sweep_in_torch
 from ggavatar.points.layers import SHARPNESS, encode, softplus
 
@@ -60,7 +60,7 @@ class _Sweep(torch.autograd.Function):
         matters = (to_values != 0).any(1) | (to_gradient != 0).any(1)
         for number, kept in enumerate(ctx.kept):
             start = number * BLOCK
-            rows = in_whole_groups(matters[start : start + BLOCK], GROUP)
+            rows = padded_indices(matters[start : start + BLOCK], GROUP)
             if len(rows):
                 states, pulls = ([tensor[rows] for tensor in tensors] for tensors in kept)
                 own = x[start + rows], to_values[start + rows], to_gradient[start + rows]

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive
-from ggavatar.geometry.surface_sampling import spread_points
+from ggavatar.geometry.surface_sampling import sample_surface
 from ggavatar.head.model import HeadModel
 from ggavatar.points.canonical import CanonicalNetwork
 from ggavatar.points.deformer import PointDeformer
@@ -37,7 +37,7 @@ class HeadSurface(NamedTuple):
     def of(head: HeadModel, canonical: Drive, unit: float, count: int, generator: torch.Generator) -> HeadSurface:
         """`count` points, spread by area; `unit` of length of the points per metre."""
         vertices = unit * head.vertices(canonical)
-        points, face, _ = spread_points(vertices, head.faces, count, generator)
+        points, face, _ = sample_surface(vertices, head.faces, count, generator)
         corners = vertices[head.faces[face]]
         across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return HeadSurface(points, normalize(across, dim=-1))

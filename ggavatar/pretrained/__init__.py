@@ -1,1 +1,1 @@
-"""Files of pretrained models: where they are looked for, what they must be, how they are fetched."""
+"""Files of pretrained models: what they are, where they are looked for, how they are verified and downloaded."""

@@ -1,24 +1,25 @@
-"""Where the files of learned metrics lie, and what they are: found by name, identified by SHA-256, never fetched."""
+"""The files of the LPIPS metrics: found by name in the model folders, never downloaded."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-VARIABLE = "GGAVATAR_MODELS"
+from ggavatar.pretrained.folders import MODELS_VARIABLE, first_file
+
 NO_WEIGHTS = "no weights"
-"""How the reason of a metric without weights begins."""
+"""Beginning of the reason given for a metric whose weights are missing."""
 
 BACKBONES = {
     "alex": ("alexnet_features.pth", "alexnet-owt-7be5be79.pth", "alexnet-owt-4df8aa71.pth", "alexnet.pth"),
     "vgg": ("vgg16_features.pth", "vgg16-397923af.pth", "vgg16.pth"),
     "squeeze": ("squeezenet1_1_features.pth", "squeezenet1_1-b8a52dc0.pth", "squeezenet1_1-f364aa15.pth"),
 }
-"""File names of ImageNet backbones in torchvision's key layout (`features.N.weight`): ours, then torchvision's own."""
+"""File names of ImageNet backbones with torchvision's keys (`features.N.weight`): our names, then torchvision's."""
 
 HEADS = ("lpips_heads_v0.1/{net}.pth", "lpips/weights/v0.1/{net}.pth", "{net}.pth")
+"""File names of the linear heads of LPIPS 0.1: our name, then those of the lpips package."""
 
 
 @dataclass(frozen=True)
@@ -30,24 +31,11 @@ class LpipsFiles:
 
 
 def find_lpips(net: str, folders: Sequence[Path]) -> LpipsFiles | str:
-    """Backbone and linear head of an LPIPS network (`alex`, `vgg`, `squeeze`), or the reason why there is none."""
+    """Find backbone and linear head of an LPIPS network (`alex`, `vgg`, `squeeze`), or return what is missing."""
     backbone = first_file(folders, BACKBONES[net])
     head = first_file(folders, tuple(name.format(net=net) for name in HEADS))
     wanted = [BACKBONES[net][0] if not backbone else "", HEADS[0].format(net=net) if not head else ""]
     if backbone and head:
         return LpipsFiles(backbone, head)
-    return (
-        f"{NO_WEIGHTS}: {' and '.join(filter(None, wanted))} not found; put the file into ${VARIABLE} or name --models"
-    )
-
-
-def first_file(folders: Sequence[Path], names: Sequence[str]) -> Path | None:
-    """The first file of one of the names in the first folder that has one."""
-    candidates = (folder / name for folder in folders for name in names)
-    return next((path for path in candidates if path.is_file()), None)
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, hex."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    missing = " and ".join(filter(None, wanted))
+    return f"{NO_WEIGHTS}: {missing} not found; put it into ${MODELS_VARIABLE}, or pass its folder with --models"

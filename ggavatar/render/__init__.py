@@ -1,1 +1,1 @@
-"""Differentiable rasterisers of 3D Gaussians: one call, three backends; `ggavatar.render.backends` chooses."""
+"""Differentiable rasterizers of 3D Gaussians: three backends with one interface, chosen by `backends.pick`."""

@@ -1,35 +1,34 @@
-"""Which rasteriser to use on which device."""
+"""The choice of a rasterizer and a device."""
 
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
-import importlib.util
 import sys
 
 import torch
 
 from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
+from ggavatar.jit.dispatch import importable
 
 BACKENDS = {
     "reference": "ggavatar.render.reference",
     "cpu": "ggavatar.render.cpu.rasterizer",
     "gsplat": "ggavatar.render.gsplat",
 }
-"""Modules by the names of the backends."""
+"""Module of every backend, by name."""
 
 
 def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
-    """The rasteriser for tensors on `device`.
+    """The rasterizer for tensors on `device`.
 
     Args:
-        device: Where the Gaussians live.
-        backend: `reference`, `cpu` or `gsplat`; `auto` takes gsplat on CUDA and the compiled rasteriser on a CPU. Where
-            that one cannot be imported it takes the reference and says on stderr how to get the faster one.
+        device: Device of the Gaussians.
+        backend: `reference`, `cpu` or `gsplat`; `auto` chooses gsplat on CUDA and the compiled rasterizer on a CPU. If
+            that one cannot be imported, it chooses the reference and says on stderr how to install the faster one.
 
     Raises:
-        InputError: The name is unknown, or the backend asked for by name cannot run here.
+        InputError: The name is unknown, or the named backend cannot run on this device or computer.
     """
     kind = torch.device(device).type
     if backend != "auto":
@@ -37,12 +36,12 @@ def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
     wanted = {"cuda": "gsplat", "cpu": "cpu"}.get(kind, "reference")
     missing = _missing(wanted)
     if missing:
-        sys.stderr.write(f"drawing with plain torch, which is many times slower: {missing}\n")
+        sys.stderr.write(f"rendering with the reference rasterizer, which is many times slower: {missing}\n")
     return load("reference" if missing else wanted)
 
 
 def _missing(backend: str) -> str:
-    """What a backend lacks and how to get it; empty if it can run."""
+    """What a backend lacks and how to install it; empty if it can run."""
     if backend == "gsplat" and not importable("gsplat"):
         return "gsplat cannot be imported; pip install ggavatar[cuda]"
     if backend == "cpu" and not importable(BACKENDS["cpu"]):
@@ -52,35 +51,28 @@ def _missing(backend: str) -> str:
 
 def _named(backend: str, kind: str) -> Rasterizer:
     if backend not in BACKENDS:
-        raise InputError(f"expected a rasteriser of auto, {', '.join(BACKENDS)}; found {backend!r}")
-    home = {"gsplat": "cuda", "cpu": "cpu"}.get(backend, kind)
-    if kind != home:
-        raise InputError(f"the {backend} rasteriser needs tensors on a {home} device, found {kind!r}; use auto")
+        raise InputError(f"expected a rasterizer of auto, {', '.join(BACKENDS)}; found {backend!r}")
+    required = {"gsplat": "cuda", "cpu": "cpu"}.get(backend, kind)
+    if kind != required:
+        raise InputError(f"the {backend} rasterizer needs tensors on a {required} device, found {kind!r}; use auto")
     missing = _missing(backend)
     if missing:
-        raise InputError(f"the {backend} rasteriser was asked for, but {missing}")
+        raise InputError(f"the {backend} rasterizer cannot run: {missing}, or use auto")
     return load(backend)
 
 
-def importable(module: str) -> bool:
-    """Whether `module` imports without an error (an installed package can still be broken)."""
-    if module not in sys.modules and importlib.util.find_spec(module) is None:
-        return False
-    try:
-        importlib.import_module(module)
-    except (ImportError, OSError):
-        return False
-    return True
-
-
 def load(backend: str) -> Rasterizer:
-    """The function `rasterize` of a backend's module."""
+    """Import a backend's module and return its function `rasterize`."""
     rasterizer: Rasterizer = importlib.import_module(BACKENDS[backend]).rasterize
     return rasterizer
 
 
 def resolve_device(name: str) -> str:
-    """A device by name; `auto` is CUDA where there is one, else the CPU."""
+    """Resolve `auto` to cuda if a CUDA device is available, else to cpu, and check any other device.
+
+    Raises:
+        InputError: `name` is not a torch device, or is a CUDA device and none is available.
+    """
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     try:
@@ -88,5 +80,5 @@ def resolve_device(name: str) -> str:
     except RuntimeError as error:
         raise InputError(f"--device: expected auto, cpu, cuda or cuda:N, found {name!r}") from error
     if kind == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"--device {name}: torch sees no CUDA device here; use cpu or auto")
+        raise InputError(f"--device {name}: torch finds no CUDA device; use cpu or auto")
     return name

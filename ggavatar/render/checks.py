@@ -1,4 +1,4 @@
-"""What every backend refuses, with the name of the tensor at fault."""
+"""Input checks that all backends share; messages name the invalid tensor."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 
 def check_shapes(gaussians: Gaussians, camera: Camera, background: Tensor) -> None:
-    """Refuse tensors whose shapes do not fit together.
+    """Refuse tensors whose shapes do not match.
 
     Raises:
-        InputError: Names the tensor, the expected and the found shape.
+        InputError: With the tensor's name, the expected and the found shape.
     """
     count = gaussians.means.shape[0]
     expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
@@ -43,25 +43,25 @@ def check_finite(named: dict[str, Tensor]) -> None:
     """Refuse NaN and infinity.
 
     Raises:
-        InputError: Names the tensor and the first rows at fault.
+        InputError: With the tensor's name and the first invalid rows.
     """
     for name, tensor in named.items():
-        good = torch.isfinite(tensor.detach())
-        if not bool(good.all()):
-            rows = torch.unique(torch.nonzero(~good)[:, 0])
+        finite = torch.isfinite(tensor.detach())
+        if not bool(finite.all()):
+            rows = torch.unique(torch.nonzero(~finite)[:, 0])
             listed = ", ".join(str(int(row)) for row in rows[:5])
             raise InputError(
                 f"{name}: expected finite numbers, found NaN or infinity "
                 f"in {len(rows)} of {len(tensor)} rows (first: {listed}); "
-                "the training diverged or the capture is damaged: lower the learning rate or check the input"
+                "the training diverged or the capture is damaged: lower the learning rates or check the capture"
             )
 
 
 def gaussian_tensors(gaussians: Gaussians) -> dict[str, Tensor]:
-    """The tensors of `gaussians` by the name used in messages."""
+    """The tensors of `gaussians`, by their names in messages."""
     return {f"gaussians.{name}": getattr(gaussians, name) for name in FIELDS}
 
 
 def camera_tensors(camera: Camera, background: Tensor) -> dict[str, Tensor]:
-    """The tensors of the view by the name used in messages."""
+    """The tensors of camera and background, by their names in messages."""
     return dict(zip(VIEW_NAMES, (camera.intrinsics, camera.world_to_camera, background), strict=True))

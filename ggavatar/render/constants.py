@@ -1,24 +1,24 @@
-"""The numbers every backend shares (3D Gaussian splatting, Kerbl et al. 2023; gsplat 1.5)."""
+"""Constants of rasterization that all backends share (3D Gaussian splatting, Kerbl et al. 2023; gsplat 1.5)."""
 
 from __future__ import annotations
 
 NEAR = 0.01
-"""Gaussians whose centre is nearer than this are not drawn, m of camera z."""
+"""Near plane: Gaussians whose center has a smaller camera z are culled, m."""
 
 LOW_PASS = 0.3
-"""Added to both variances of every projected Gaussian, px²."""
+"""Low-pass filter: added to both variances of every projected Gaussian, px²."""
 
 MAX_ALPHA = 0.99
-"""A Gaussian never covers a pixel more than this."""
+"""Upper limit of a Gaussian's alpha in a pixel."""
 
 MIN_ALPHA = 1 / 255
-"""A Gaussian that covers a pixel less than this is not blended there."""
+"""A Gaussian with a smaller alpha in a pixel is not blended there."""
 
 MIN_TRANSMITTANCE = 1e-4
-"""A pixel is finished before the Gaussian that would let less light through than this."""
+"""A pixel is finished before the Gaussian that would reduce its transmittance below this."""
 
 CLAMP_MARGIN = 0.3
-"""The Jacobian is evaluated no further outside of the image than this fraction of half its width or height."""
+"""The Jacobian is evaluated no further outside the image than this fraction of half its width or height."""
 
-TINY_NORM = 1e-12
-"""Quaternions shorter than this count as this long, which makes the zero quaternion the identity."""
+MIN_NORM = 1e-12
+"""Lower limit of a quaternion's norm in its normalization; it makes the zero quaternion the identity rotation."""

@@ -1,6 +1,6 @@
-"""CUDA: the gsplat library behind the same call (Ye et al. 2025, arXiv 2409.06765; gsplat 1.5).
+"""The CUDA rasterizer: the gsplat library behind our interface (Ye et al. 2025, arXiv 2409.06765; gsplat 1.5).
 
-One number cannot be set and differs from `ggavatar.render.constants`: gsplat 1.5.3 limits alpha to 0.999, not 0.99.
+One constant cannot be set and differs from `ggavatar.render.constants`: gsplat 1.5.3 limits alpha to 0.999, not 0.99.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from ggavatar.render.harmonics import used_degree
 
 
 def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
-    """Draw Gaussians on a constant background.
+    """Render Gaussians on a constant background.
 
     Args:
         gaussians: On a CUDA device, float32.
         camera: Moved to the device of the Gaussians; differentiable in `world_to_camera`.
-        background: sRGB.
+        background: sRGB color.
 
     Returns:
-        The rendering; `radii` are those of gsplat, whole px.
+        The rendering; `radii` are gsplat's, in whole px.
 
     Raises:
-        InputError: Shapes do not fit, or a tensor holds NaN or infinity.
+        InputError: Shapes do not match, or a tensor holds NaN or infinity.
     """
     check_shapes(gaussians, camera, background)
     named = gaussian_tensors(gaussians) | camera_tensors(camera, background)
     if not _all_finite(list(named.values()), gaussians.means.device):
         check_finite(named)
     colors, harmonics = gaussians.colors, gaussians.colors.ndim == 3
-    drawn, alpha, meta = gsplat.rasterization(
+    features, alpha, meta = gsplat.rasterization(
         means=gaussians.means,
         quats=gaussians.quats,
         scales=gaussians.scales,
@@ -54,17 +54,18 @@ def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
         rasterize_mode="classic",
     )
     radii = meta["radii"][0].amax(-1)
-    return Rendering(drawn[0, ..., :3], alpha[0], drawn[0, ..., 3:], _image_positions(meta["means2d"], radii), radii)
+    image, depth = features[0, ..., :3], features[0, ..., 3:]
+    return Rendering(image, alpha[0], depth, _means2d_leaf(meta["means2d"], radii), radii)
 
 
 def _all_finite(tensors: list[Tensor], device: torch.device) -> bool:
-    """Whether all tensors are finite, asking the device once."""
+    """Whether all tensors are finite, with a single synchronization."""
     flags = [torch.isfinite(tensor.detach()).all().to(device) for tensor in tensors]
     return bool(torch.stack(flags).all())
 
 
-def _image_positions(means2d: Tensor, radii: Tensor) -> Tensor:
-    """A leaf [N, 2] whose `.grad` receives the gradient of gsplat's [1, N, 2] during backward."""
+def _means2d_leaf(means2d: Tensor, radii: Tensor) -> Tensor:
+    """A leaf [N, 2] whose `.grad` receives the gradient of gsplat's [1, N, 2] during the backward pass."""
     leaf = torch.where(radii[:, None] > 0, means2d.detach()[0], 0)
     if means2d.requires_grad:
         leaf.requires_grad_()

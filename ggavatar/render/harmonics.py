@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 3 in the basis and sign order of 3D Gaussian splatting."""
+"""Real spherical harmonics up to degree 3, in 3D Gaussian splatting's order and with its signs."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def sh_basis(directions: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N 
 
     Args:
         directions: Unit vectors from the camera to the Gaussians.
-        degree: 0 to 3.
+        degree: Highest degree, 0 to 3.
 
     Returns:
-        Columns in the order of 3DGS: Y00, Y1-1, Y10, Y11, Y2-2, …, Y33 with the Condon-Shortley sign.
+        Columns in 3DGS's order Y00, Y1-1, Y10, Y11, Y2-2, …, Y33, with the Condon-Shortley sign.
     """
     x, y, z = directions.unbind(-1)
     values = [torch.full_like(x, C0)]
@@ -50,25 +50,25 @@ def sh_basis(directions: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N 
 
 
 def used_degree(coefficients: int, wanted: int | None) -> int:
-    """Degree to evaluate, given the number of coefficients held and the degree asked for (None: all that are held).
+    """Degree to evaluate, given the number of coefficients per channel and the wanted degree (None: the highest).
 
     Raises:
-        ValueError: The number is not 1, 4, 9 or 16, or the degree asked for needs more coefficients.
+        ValueError: The number is not 1, 4, 9 or 16, or the wanted degree needs more coefficients.
     """
-    held = math.isqrt(coefficients) - 1
-    if (held + 1) ** 2 != coefficients or not 0 <= held <= 3:
+    highest = math.isqrt(coefficients) - 1
+    if (highest + 1) ** 2 != coefficients or not 0 <= highest <= 3:
         raise ValueError(f"expected 1, 4, 9 or 16 spherical-harmonics coefficients per channel, got {coefficients}")
     if wanted is None:
-        return held
-    if not 0 <= wanted <= held:
-        raise ValueError(f"expected sh_degree of 0 to {held} for {coefficients} coefficients, got {wanted}")
+        return highest
+    if not 0 <= wanted <= highest:
+        raise ValueError(f"expected sh_degree of 0 to {highest} for {coefficients} coefficients, got {wanted}")
     return wanted
 
 
 def sh_to_rgb(
     coefficients: Float[Tensor, "N K 3"], means: Float[Tensor, "N 3"], center: Float[Tensor, " 3"], degree: int
 ) -> Float[Tensor, "N 3"]:
-    """Colours max(0, SH + 0.5) of Gaussians seen from the camera centre `center` (m, world)."""
+    """Colors max(0, SH + 0.5) of Gaussians seen from a camera at `center` (world, m)."""
     offsets = means - center
     directions = offsets / offsets.norm(dim=-1, keepdim=True).clamp_min(1e-20)
     basis = sh_basis(directions, degree)

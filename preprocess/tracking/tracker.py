@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
-from ggavatar.landmarks.average_face import drawn_face
+from ggavatar.landmarks.average_face import average_face
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
-from ggavatar.landmarks.networks import FaceFiles
+from ggavatar.landmarks.networks import FaceNetworkFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
 from ggavatar.pretrained import catalogue
 from preprocess.options import PrepOptions, TrackingOptions
@@ -82,10 +82,10 @@ def track(
 
 def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
     """The landmark networks and the average face: from the bundle, or their substitutes where it is not available."""
-    found = catalogue.resolve_all("face_landmarker", options.models, options.offline)
+    found = catalogue.resolve_with_substitutes("face_landmarker", options.models, options.offline)
     if len(found) == 1:
         return LandmarkTracker(found[0]), canonical_face(found[0])
-    return LandmarkTracker(FaceFiles(*found)), drawn_face()
+    return LandmarkTracker(FaceNetworkFiles(*found)), average_face()
 
 
 def track_landmarks(

@@ -1,4 +1,4 @@
-"""Seeded mutations of files: only an InputError that names the file may come out, and soon."""
+"""Seeded mutations of files: reading one may only raise an InputError that names the file, and soon."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import time
 from ggavatar.errors import InputError
 
 COUNT = int(os.environ.get("GGAVATAR_MUTATIONS", "60"))
+"""Mutants per file."""
+
+MAX_SECONDS = 10.0
+"""Longest time that reading a mutant may take; most take a millisecond."""
 
 
-HANG = 10.0
-"""Nothing may take longer, s: most take a millisecond."""
-
-
-def mutated(data: bytes, generator: random.Random) -> bytes:
-    """Bytes flipped, cut off, repeated, or runs of them overwritten."""
+def mutate(data: bytes, generator: random.Random) -> bytes:
+    """Change some bytes, then perhaps truncate the file, or repeat or overwrite a run of bytes."""
     changed = bytearray(data)
     for _ in range(generator.choice((1, 1, 2, 4, 16))):
         changed[generator.randrange(len(changed))] = generator.choice((0, 1, 127, 128, 255, generator.randrange(256)))
@@ -33,26 +33,26 @@ def mutated(data: bytes, generator: random.Random) -> bytes:
     return bytes(changed)
 
 
-def survive(path, original, read, seed, count=COUNT):
-    """Read many mutants of a file; returns how many were refused. Only InputError may come out, and soon."""
+def refused_mutants(path, original, read, seed, count=COUNT):
+    """Read many mutants of a file and count those that were refused; anything but a quick InputError is a failure."""
     generator, refused = random.Random(seed), 0
     for _ in range(count):
-        path.write_bytes(mutated(original, generator))
+        path.write_bytes(mutate(original, generator))
         began = time.monotonic()
         try:
             read()
         except InputError as error:
             refused += 1
             assert path.name in str(error) or str(path.parent) in str(error)
-        assert time.monotonic() - began < HANG
+        assert time.monotonic() - began < MAX_SECONDS
     return refused
 
 
 ODD_VALUES = (None, True, -1, 10**30, 1e300, "x", "../../etc/passwd", [], {}, [[]], [1, "2"], "\0", "9" * 30)
 
 
-def survive_values(path, original, read, seed):
-    """Replace values anywhere in a JSON file by others."""
+def check_value_mutations(path, original, read, seed):
+    """Replace values anywhere in a JSON file by odd ones; only InputError may be raised."""
     generator = random.Random(seed)
     for _ in range(COUNT):
         data = json.loads(original)

@@ -1,4 +1,4 @@
-"""Random scenes and gradients for the tests of the rasterisers."""
+"""Random scenes and gradients for the tests of the rasterizers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 
 def random_camera(width: int, height: int, dtype: torch.dtype, focal: float = 60.0) -> Camera:
-    """Off-centre principal point, different focal lengths, a tilted view from 1 m."""
+    """Off-center principal point, different focal lengths, a tilted view from 1 m."""
     intrinsics = torch.tensor([[focal, 0, 0.6 * width], [0, 0.92 * focal, 0.53 * height], [0, 0, 1]], dtype=dtype)
     eye, up = torch.tensor([0.1, 0.2, 1.0], dtype=dtype), torch.tensor([0.0, 1.0, 0.0], dtype=dtype)
     return Camera(intrinsics, look_at(eye, torch.zeros(3, dtype=dtype), up), width, height)

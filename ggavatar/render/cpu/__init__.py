@@ -1,1 +1,1 @@
-"""The CPU rasteriser that we train with, as compiled kernels."""
+"""The compiled CPU rasterizer."""

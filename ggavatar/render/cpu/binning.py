@@ -1,4 +1,4 @@
-"""Which Gaussians touch which tile, front to back: one radix sort of depths, then a stable counting sort into tiles."""
+"""Per-tile lists of Gaussians, front to back: a radix sort by depth, then a stable counting sort into tiles."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ import numpy as np
 
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import float_bits, pointer, prefetch
-from ggavatar.render.cpu.projection import DEPTH, RECORD
+from ggavatar.render.cpu.layout import DEPTH, RECORD
 
 DIGIT_BITS = 11
 DIGITS = 1 << DIGIT_BITS
-AHEAD = 32
-"""How many Gaussians ahead their boxes are asked for."""
+"""Values of a digit of the radix sort."""
+
+PREFETCH_DISTANCE = 32
+"""How many Gaussians ahead boxes are prefetched."""
 
 
 class Bins(NamedTuple):
     """Lists of Gaussians per tile.
 
-    `starts` [tiles + 1] into `entries` [M, 2]: a Gaussian, front to back, and the slot of its gradient in this
-    tile. The slots of Gaussian i are `slots[i]` … `slots[i + 1]`: sums over its tiles then read memory in
-    order.
+    `starts` [tiles + 1] are offsets into `entries` [M, 2], which holds, front to back, a Gaussian and the slot of its
+    gradient in this tile. Gaussian i owns the slots from `slots[i]` up to `slots[i + 1]`, so that sums over its tiles
+    read memory in order.
     """
 
     starts: np.ndarray
@@ -30,7 +32,7 @@ class Bins(NamedTuple):
 
 
 @inlined
-def bare_bins(bins):
+def bin_pointers(bins):
     """The bins with pointers instead of arrays."""
     return Bins(pointer(bins.starts, 0), pointer(bins.entries, 0), pointer(bins.slots, 0))
 
@@ -38,13 +40,13 @@ def bare_bins(bins):
 @inlined
 def box_of(boxes, index):
     """Left, top, right and bottom tile of a Gaussian."""
-    place = index * 4
-    return np.int64(boxes[place]), np.int64(boxes[place + 1]), np.int64(boxes[place + 2]), np.int64(boxes[place + 3])
+    first = index * 4
+    return np.int64(boxes[first]), np.int64(boxes[first + 1]), np.int64(boxes[first + 2]), np.int64(boxes[first + 3])
 
 
 @kernel
 def count_tiles(boxes, tiles_x, starts, slots):
-    """Running sums of the Gaussians of every tile and of the tiles of every Gaussian; returns how many are visible."""
+    """Write cumulative counts of Gaussians per tile and of tiles per Gaussian; returns how many are visible."""
     starts[:] = 0
     seen, running = 0, 0
     for index in range(slots.size - 1):
@@ -64,9 +66,10 @@ def count_tiles(boxes, tiles_x, starts, slots):
 
 @kernel
 def sort_by_depth(records, slots, keys, spare):
-    """Indices of the visible Gaussians in the low halves of the result, front to back, equal depths in order of index.
+    """Sort the visible Gaussians by depth, equal depths by index; the low 32 bits of the returned keys are indices.
 
-    The keys are the bits of the depths relative to the nearest one: a head spans few of them, and two passes do.
+    The high halves are the bits of the depths relative to the smallest one: a head spans few of them, so that two
+    passes suffice.
     """
     size, nearest, farthest = 0, np.int64(1) << 40, np.int64(0)
     for index in range(slots.size - 1):
@@ -85,25 +88,25 @@ def sort_by_depth(records, slots, keys, spare):
 
 @inlined
 def radix_pass(source, target, nearest, shift):
-    """One stable pass of the radix sort, by the digit at `shift`."""
-    places = np.zeros(DIGITS + 1, np.int64)
+    """One stable pass of the radix sort, by the digit at bit `shift`."""
+    positions = np.zeros(DIGITS + 1, np.int64)
     for key in source:
-        places[((((key >> 32) - nearest) >> shift) & (DIGITS - 1)) + 1] += 1
+        positions[((((key >> 32) - nearest) >> shift) & (DIGITS - 1)) + 1] += 1
     for digit in range(DIGITS):
-        places[digit + 1] += places[digit]
+        positions[digit + 1] += positions[digit]
     for key in source:
         digit = (((key >> 32) - nearest) >> shift) & (DIGITS - 1)
-        target[places[digit]] = key
-        places[digit] += 1
+        target[positions[digit]] = key
+        positions[digit] += 1
 
 
 @kernel
 def fill_tiles(order, boxes, tiles_x, bins):
     """Append every Gaussian, front to back, to the lists of its tiles."""
-    next_place = bins.starts[:-1].copy()
+    next_entry = bins.starts[:-1].copy()
     for position in range(order.size):
-        if position + AHEAD < order.size:
-            later = order[position + AHEAD] & 0xFFFFFFFF
+        if position + PREFETCH_DISTANCE < order.size:
+            later = order[position + PREFETCH_DISTANCE] & 0xFFFFFFFF
             prefetch(bins.slots, later)
             prefetch(boxes, later * 4)
         index = order[position] & 0xFFFFFFFF
@@ -111,8 +114,8 @@ def fill_tiles(order, boxes, tiles_x, bins):
         slot = bins.slots[index]
         for y in range(top, bottom):
             for tile in range(y * tiles_x + left, y * tiles_x + right):
-                place = next_place[tile]
-                next_place[tile] = place + 1
-                bins.entries[2 * place] = index
-                bins.entries[2 * place + 1] = slot
+                entry = next_entry[tile]
+                next_entry[tile] = entry + 1
+                bins.entries[2 * entry] = index
+                bins.entries[2 * entry + 1] = slot
                 slot += 1

@@ -1,4 +1,4 @@
-"""Spherical harmonics of sixteen Gaussians at a time: colours, and the gradients of coefficients and directions."""
+"""Spherical harmonics of sixteen Gaussians at a time: colors, and the gradients of coefficients and directions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ C20, C21, C22 = (np.float32(value) for value in harmonics.C2)
 C30, C31, C32, C33, C34 = (np.float32(value) for value in harmonics.C3)
 TWO, THREE, FOUR, SIX, EIGHT = (np.float32(value) for value in (2, 3, 4, 6, 8))
 BASIS, SCRATCH = 48 * 16, 64 * 16
-"""Floats before the basis values in a worker's scratch, and in all of it: 48 + 16 vectors."""
+"""Offset of the basis values in a worker's scratch memory, behind 48 coefficients, and its size, all in floats."""
 
 
 @inlined
@@ -28,7 +28,7 @@ def direction(means, center):
 
 @inlined
 def fill_basis(scratch, unit, degree):
-    """Write the (degree + 1)² basis values to the scratch."""
+    """Write the (degree + 1)² basis values to the scratch memory."""
     x, y, z = unit
     store(scratch, BASIS, splat(C0))
     if degree >= 1:
@@ -55,15 +55,15 @@ def fill_basis(scratch, unit, degree):
 
 @inlined
 def prefetch_colors(colors, coefficients, first, last):
-    """Ask for the colours of a later group of sixteen; without this, waiting for memory takes most of the time."""
+    """Prefetch the colors of a later group of sixteen; without this, most of the time is spent waiting for memory."""
     size = 3 * max(coefficients, 1)
-    for place in range(first * size, min(first + 16, last + 1) * size, 16):
-        prefetch(colors, place)
+    for offset in range(first * size, min(first + 16, last + 1) * size, 16):
+        prefetch(colors, offset)
 
 
 @inlined
 def load_coefficients(scratch, cloud, first, last):
-    """Bring the coefficients of sixteen Gaussians into the scratch, one vector per coefficient; only those in use."""
+    """Load the coefficients in use of sixteen Gaussians into the scratch memory, one vector per coefficient."""
     used = 3 * (cloud.degree + 1) * (cloud.degree + 1)
     stride = 3 * cloud.coefficients
     if stride == 48:
@@ -78,7 +78,7 @@ def load_coefficients(scratch, cloud, first, last):
 
 @inlined
 def harmonic_colors(scratch, terms):
-    """Colours before the clamp: the sum of coefficient times basis plus one half."""
+    """Colors before the clamp: the sum of coefficient times basis plus one half."""
     red, green, blue = splat(np.float32(0.5)), splat(np.float32(0.5)), splat(np.float32(0.5))
     for term in range(terms):
         value = load(scratch, BASIS + term * 16)
@@ -90,7 +90,7 @@ def harmonic_colors(scratch, terms):
 
 @inlined
 def colors_of(scratch, cloud, center, means, first, last):
-    """Colours of sixteen Gaussians as seen from the camera, and a vector that is NaN or infinite where an input was."""
+    """Colors of sixteen Gaussians seen from the camera, and a vector that is NaN or infinite where an input was."""
     if cloud.coefficients == 0:
         red, green, blue = columns_3(cloud.colors, first, last)
         return (red, green, blue), red + green + blue
@@ -99,13 +99,13 @@ def colors_of(scratch, cloud, center, means, first, last):
     fill_basis(scratch, unit, cloud.degree)
     red, green, blue = harmonic_colors(scratch, (cloud.degree + 1) * (cloud.degree + 1))
     zero = np.float32(0)
-    # The larger of a NaN and zero is zero here, so a fault is looked for before the clamp.
+    # `maximum` returns zero for NaN and zero, so faults are detected before the clamp.
     return (maximum(red, zero), maximum(green, zero), maximum(blue, zero)), red + green + blue
 
 
 @inlined
 def store_color_gradient(scratch, cloud, gradient, color_gradients, first, last):
-    """Write the gradient of the colours or coefficients of sixteen Gaussians; overwrites the scratch."""
+    """Write the gradient of the colors or coefficients of sixteen Gaussians; overwrites the scratch memory."""
     red, green, blue = color_gradients
     stride = 3 * max(cloud.coefficients, 1)
     used = 3 * (cloud.degree + 1) * (cloud.degree + 1)
@@ -133,13 +133,13 @@ def store_color_gradient(scratch, cloud, gradient, color_gradients, first, last)
 @inlined
 def basis_gradient(scratch, term, color_gradients):
     """Gradient of one basis value."""
-    place = term * 48
-    return dot(color_gradients, (load(scratch, place), load(scratch, place + 16), load(scratch, place + 32)))
+    offset = term * 48
+    return dot(color_gradients, (load(scratch, offset), load(scratch, offset + 16), load(scratch, offset + 32)))
 
 
 @inlined
 def direction_gradient(scratch, unit, degree, color_gradients):
-    """Gradient of the unit directions; the scratch holds the coefficients."""
+    """Gradient of the unit directions; the scratch memory holds the coefficients."""
     x, y, z = unit
     dx, dy, dz = splat(np.float32(0)), splat(np.float32(0)), splat(np.float32(0))
     if degree >= 1:
@@ -147,14 +147,10 @@ def direction_gradient(scratch, unit, degree, color_gradients):
         dz = basis_gradient(scratch, 2, color_gradients) * C1
         dx = basis_gradient(scratch, 3, color_gradients) * negate(C1)
     if degree >= 2:
-        g4, g5 = (
-            basis_gradient(scratch, 4, color_gradients) * C20,
-            basis_gradient(scratch, 5, color_gradients) * negate(C20),
-        )
-        g6, g7 = (
-            basis_gradient(scratch, 6, color_gradients) * C21,
-            basis_gradient(scratch, 7, color_gradients) * negate(C20),
-        )
+        g4 = basis_gradient(scratch, 4, color_gradients) * C20
+        g5 = basis_gradient(scratch, 5, color_gradients) * negate(C20)
+        g6 = basis_gradient(scratch, 6, color_gradients) * C21
+        g7 = basis_gradient(scratch, 7, color_gradients) * negate(C20)
         g8 = basis_gradient(scratch, 8, color_gradients) * C22
         dx = dx + g4 * y + g7 * z + TWO * x * (g8 - g6)
         dy = dy + g4 * x + g5 * z - TWO * y * (g8 + g6)
@@ -170,18 +166,12 @@ def _cubic_gradient(scratch, unit, color_gradients):
     """The part of `direction_gradient` that comes from the seven cubic terms."""
     x, y, z = unit
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    g9, g10 = (
-        basis_gradient(scratch, 9, color_gradients) * negate(C30),
-        basis_gradient(scratch, 10, color_gradients) * C31,
-    )
-    g11, g12 = (
-        basis_gradient(scratch, 11, color_gradients) * negate(C32),
-        basis_gradient(scratch, 12, color_gradients) * C33,
-    )
-    g13, g14 = (
-        basis_gradient(scratch, 13, color_gradients) * negate(C32),
-        basis_gradient(scratch, 14, color_gradients) * C34,
-    )
+    g9 = basis_gradient(scratch, 9, color_gradients) * negate(C30)
+    g10 = basis_gradient(scratch, 10, color_gradients) * C31
+    g11 = basis_gradient(scratch, 11, color_gradients) * negate(C32)
+    g12 = basis_gradient(scratch, 12, color_gradients) * C33
+    g13 = basis_gradient(scratch, 13, color_gradients) * negate(C32)
+    g14 = basis_gradient(scratch, 14, color_gradients) * C34
     g15 = basis_gradient(scratch, 15, color_gradients) * negate(C30)
     dx = g9 * (SIX * xy) + g10 * yz - g11 * (TWO * xy) - g12 * (SIX * xz)
     dx = dx + g13 * (FOUR * zz - THREE * xx - yy) + g14 * (TWO * xz) + g15 * (THREE * (xx - yy))
@@ -192,8 +182,8 @@ def _cubic_gradient(scratch, unit, color_gradients):
 
 
 @inlined
-def passed(colors, gradients):
-    """Gradients of the colours before the clamp at zero."""
+def clamp_gradient(colors, gradients):
+    """Gradients of the colors before the clamp at zero, given the clamped colors."""
     zero = np.float32(0)
     red = select(colors[0] > zero, gradients[0], zero)
     green = select(colors[1] > zero, gradients[1], zero)

@@ -1,4 +1,4 @@
-"""Sixteen Gaussians at a time: positions, rotations and image-plane shapes, shared by projection and its gradient.
+"""Memory layout of views and records, and geometry of sixteen Gaussians at a time, for projection and its gradient.
 
 The formulas are those of `ggavatar.render.projection`; a tuple of vectors holds a small matrix row by row.
 """
@@ -13,28 +13,32 @@ from ggavatar.jit.kernels import inlined
 from ggavatar.jit.memory import pointer
 from ggavatar.jit.simd import absolute, fma, maximum, minimum, negate, sqrt
 from ggavatar.jit.vectors import dot
-from ggavatar.render.constants import LOW_PASS, TINY_NORM
+from ggavatar.render.constants import LOW_PASS, MIN_NORM
 
-# Places in the float32 array that describes a view.
-ROTATION, TRANSLATION, FOCAL, PRINCIPAL, LIMITS, CENTER, SIZE, TILES, BACKGROUND, VIEW_LENGTH = (
-    0,
-    9,
-    12,
-    14,
-    16,
-    20,
-    23,
-    25,
-    27,
-    30,
-)
+TILE = 16
+"""Pixels along a side of a tile."""
+
+ROTATION, TRANSLATION, FOCAL, PRINCIPAL, RATIO_LIMITS = 0, 9, 12, 14, 16
+CENTER, SIZE, TILES, BACKGROUND = 20, 23, 25, 27
+"""Offsets in the float32 array that describes a view; x comes before y, and the limits of x/z before those of y/z.
+
+The rotation is row-major, `CENTER` is the camera's position in the world, and `TILES` the numbers of tiles.
+"""
+
+XX, XY, YY, X, Y, OPACITY, RED, GREEN, BLUE, DEPTH, STEP_Y, STEP_X, REACH, RECORD = *range(13), 16
+"""Offsets in the record of a Gaussian, and its length in floats (64 bytes).
+
+XX, XY and YY are whitening rows: u = XX dx + XY dy and v = YY dy give log2 alpha = OPACITY − u² − v². X and Y are the
+center in px, OPACITY is log2 of the opacity, DEPTH camera z. STEP_Y is the y of the point with the smallest u² + v² on
+the line dx = 1, STEP_X the x of that on dy = 1, and REACH log2 of 255 · opacity with a little slack.
+"""
 
 
 class Cloud(NamedTuple):
     """The Gaussians as flat float32 arrays or pointers to them.
 
-    `rows` is the number of Gaussians; `coefficients` is the number of harmonics held per channel, 0 for RGB;
-    `degree` the highest one to evaluate.
+    `rows` is the number of Gaussians, `coefficients` the number of stored harmonics per channel (0 for RGB), `degree`
+    the highest degree to evaluate.
     """
 
     means: np.ndarray
@@ -48,7 +52,7 @@ class Cloud(NamedTuple):
 
 
 @inlined
-def bare_cloud(cloud):
+def cloud_pointers(cloud):
     """The cloud with pointers instead of arrays."""
     means, quats, scales = pointer(cloud.means, 0), pointer(cloud.quats, 0), pointer(cloud.scales, 0)
     opacities, colors = pointer(cloud.opacities, 0), pointer(cloud.colors, 0)
@@ -57,36 +61,37 @@ def bare_cloud(cloud):
 
 @inlined
 def combine(x, a, y, b):
-    """X · a + y · b for triples a, b."""
+    """The linear combination x · a + y · b of triples a and b."""
     return fma(x, a[0], y * b[0]), fma(x, a[1], y * b[1]), fma(x, a[2], y * b[2])
 
 
 @inlined
-def row(view, place):
+def row(view, offset):
     """Three consecutive numbers of a view."""
-    return view[place], view[place + 1], view[place + 2]
+    return view[offset], view[offset + 1], view[offset + 2]
 
 
 @inlined
 def to_camera(view, means):
     """Camera-space positions of world positions, m."""
-    x = fma(means[0], view[0], fma(means[1], view[1], fma(means[2], view[2], view[9])))
-    y = fma(means[0], view[3], fma(means[1], view[4], fma(means[2], view[5], view[10])))
-    z = fma(means[0], view[6], fma(means[1], view[7], fma(means[2], view[8], view[11])))
+    r0, r1, r2 = row(view, ROTATION), row(view, ROTATION + 3), row(view, ROTATION + 6)
+    x = fma(means[0], r0[0], fma(means[1], r0[1], fma(means[2], r0[2], view[TRANSLATION])))
+    y = fma(means[0], r1[0], fma(means[1], r1[1], fma(means[2], r1[2], view[TRANSLATION + 1])))
+    z = fma(means[0], r2[0], fma(means[1], r2[1], fma(means[2], r2[2], view[TRANSLATION + 2])))
     return x, y, z
 
 
 @inlined
 def unit_quaternion(quat):
-    """The quaternion at length 1 and 1 / length; any length is fine, also 0 or one that overflows squared."""
+    """The normalized quaternion and 1 / length; any length is allowed, even 0 or one whose square overflows."""
     w, x, y, z = quat
     largest = maximum(maximum(absolute(w), absolute(x)), maximum(absolute(y), absolute(z)))
     largest = maximum(largest, np.float32(1e-30))
-    share = np.float32(1.0) / largest
-    a, b, c, d = w * share, x * share, y * share, z * share
+    scale = np.float32(1.0) / largest
+    a, b, c, d = w * scale, x * scale, y * scale, z * scale
     length = largest * sqrt(fma(a, a, fma(b, b, fma(c, c, d * d))))
-    scale = np.float32(1.0) / maximum(length, np.float32(TINY_NORM))
-    return (w * scale, x * scale, y * scale, z * scale), scale
+    inverse_length = np.float32(1.0) / maximum(length, np.float32(MIN_NORM))
+    return (w * inverse_length, x * inverse_length, y * inverse_length, z * inverse_length), inverse_length
 
 
 @inlined
@@ -103,26 +108,29 @@ def rotation_columns(quat):
 
 @inlined
 def image_axes(view, point):
-    """Rows of J W: how a step in the world moves a pixel, with the ratios x/z, y/z held inside the widened view."""
+    """Rows of J W, the derivative of the pixel position by the world position; also 1/z, x/z and y/z.
+
+    The ratios x/z and y/z are clamped to the widened view.
+    """
     inverse = np.float32(1.0) / point[2]
-    ratio_x = minimum(maximum(point[0] * inverse, view[16]), view[17])
-    ratio_y = minimum(maximum(point[1] * inverse, view[18]), view[19])
-    scale_x, scale_y = inverse * view[12], inverse * view[13]
+    ratio_x = minimum(maximum(point[0] * inverse, view[RATIO_LIMITS]), view[RATIO_LIMITS + 1])
+    ratio_y = minimum(maximum(point[1] * inverse, view[RATIO_LIMITS + 2]), view[RATIO_LIMITS + 3])
+    scale_x, scale_y = inverse * view[FOCAL], inverse * view[FOCAL + 1]
     slant_x, slant_y = negate(scale_x * ratio_x), negate(scale_y * ratio_y)
-    axis_0 = combine(scale_x, row(view, 0), slant_x, row(view, 6))
-    axis_1 = combine(scale_y, row(view, 3), slant_y, row(view, 6))
+    axis_0 = combine(scale_x, row(view, ROTATION), slant_x, row(view, ROTATION + 6))
+    axis_1 = combine(scale_y, row(view, ROTATION + 3), slant_y, row(view, ROTATION + 6))
     return axis_0, axis_1, (inverse, ratio_x, ratio_y)
 
 
 @inlined
-def turned(axis, columns):
-    """An axis of the image expressed in the Gaussian's own axes."""
+def in_gaussian_axes(axis, columns):
+    """A row of J W in the Gaussian's own axes, given the columns of its rotation."""
     return dot(axis, columns[0]), dot(axis, columns[1]), dot(axis, columns[2])
 
 
 @inlined
 def covariance(axis_0, axis_1, scales):
-    """Entries xx, xy, yy and determinant of the low-passed image covariance, from axes in the Gaussian's own frame."""
+    """Entries xx, xy, yy and determinant of the low-passed image covariance, from J W in the Gaussian's own axes."""
     m0 = (axis_0[0] * scales[0], axis_0[1] * scales[1], axis_0[2] * scales[2])
     m1 = (axis_1[0] * scales[0], axis_1[1] * scales[1], axis_1[2] * scales[2])
     low_pass = np.float32(LOW_PASS)

@@ -1,7 +1,7 @@
-"""Projection of Gaussians, sixteen at a time: everything the tiles need, in one 64-byte record per Gaussian.
+"""Projection of Gaussians, sixteen at a time, into one 64-byte record per Gaussian with everything that tiles need.
 
-Shapes come first and colours after them, in a pass of their own: sorting into tiles needs no colours, so one thread
-sorts while the others read harmonics.
+Shapes come first, colors in a second pass: sorting into tiles needs no colors, so one thread can sort while the others
+evaluate harmonics.
 """
 
 from __future__ import annotations
@@ -23,46 +23,52 @@ from ggavatar.jit.memory import (
     take_ticket,
     transpose,
 )
-from ggavatar.jit.simd import ceil, floor, fma, log2, maximum, minimum, negate, ramp, select, splat, sqrt, total
+from ggavatar.jit.simd import ceil, floor, fma, lane_indices, log2, maximum, minimum, negate, select, splat, sqrt, total
 from ggavatar.jit.vectors import columns_3, columns_4
 from ggavatar.render.constants import MIN_ALPHA, NEAR
 from ggavatar.render.cpu.harmonics import SCRATCH, colors_of, prefetch_colors
 from ggavatar.render.cpu.layout import (
     CENTER,
-    bare_cloud,
+    FOCAL,
+    PRINCIPAL,
+    RECORD,
+    RED,
+    SIZE,
+    TILE,
+    cloud_pointers,
     covariance,
     image_axes,
+    in_gaussian_axes,
     rotation_columns,
     row,
     to_camera,
-    turned,
     unit_quaternion,
 )
-
-# A record: whitening rows (u = XX dx + XY dy, v = YY dy, so that log2 alpha = OPACITY − u² − v²), centre in px,
-# log2 of the opacity, colour, camera z, steps to the nearest point of the ellipse along y per dx and along x per
-# dy, log2 of 255 · opacity.
-XX, XY, YY, X, Y, OPACITY, RED, GREEN, BLUE, DEPTH, STEP_Y, STEP_X, REACH, RECORD = *range(13), 16
 
 CHUNK = 1024
 """Gaussians per piece of work; fixed, so that sums over pieces do not depend on the number of threads."""
 
-CHECKED = 5
-"""Input tensors that are checked for NaN and infinity, in the order of `ggavatar.render.checks.FIELDS`."""
+CHECKED_TENSORS = 5
+"""Number of input tensors that are checked for NaN and infinity, in the order of `ggavatar.render.checks.FIELDS`."""
 
-TILE = np.float32(16)
+TILE_SIDE = np.float32(TILE)
 WHITEN = np.float32(math.sqrt(0.5 * math.log2(math.e)))
+"""Factor from standard deviations to u and v, so that exp(−½ d²) = 2^(−u² − v²)."""
+
 TWO_LN2 = np.float32(2 * math.log(2))
 LOG2_255 = np.float32(math.log2(255))
 SLACK_PX, SLACK_REACH = np.float32(0.01), np.float32(1e-3)
-HUGE = np.float32(1e37)
+"""Tolerances, in px and in log2 of alpha, by which tiles and blocks are included despite rounding."""
+
+MAX_DETERMINANT = np.float32(1e37)
+"""Gaussians whose image covariance has a larger determinant (px⁴) would overflow and are culled."""
 
 
 class Footprints(NamedTuple):
-    """What projection leaves, rows padded to a multiple of sixteen.
+    """The output of projection, rows padded to a multiple of sixteen.
 
     `records` [N, 16]; `means2d` [N, 2] px; `radii` [N] px; `boxes` [N, 4] tiles left, top, right, bottom (exclusive);
-    `faults` [chunks, 5], not zero where an input held NaN or infinity.
+    `faults` [chunks, 5], not finite where an input tensor held NaN or infinity.
     """
 
     records: np.ndarray
@@ -74,8 +80,8 @@ class Footprints(NamedTuple):
 
 @kernel
 def project_chunks(tickets, cloud, view, footprints):
-    """Project chunks of Gaussians, colours left out, until none is left."""
-    cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
+    """Kernel of one worker: project chunks of Gaussians, without colors, until none is left."""
+    cloud, view, footprints = cloud_pointers(cloud), pointer(view, 0), footprint_pointers(footprints)
     chunks = (cloud.rows + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
@@ -85,9 +91,9 @@ def project_chunks(tickets, cloud, view, footprints):
 
 @kernel
 def color_chunks(tickets, scratches, cloud, view, footprints):
-    """Add the colours to the records of chunks of Gaussians until none is left."""
+    """Kernel of one worker: add the colors to the records of chunks of Gaussians until none is left."""
     scratch = pointer(scratches, take_ticket(tickets, 1) * SCRATCH)
-    cloud, view, footprints = bare_cloud(cloud), pointer(view, 0), bare_footprints(footprints)
+    cloud, view, footprints = cloud_pointers(cloud), pointer(view, 0), footprint_pointers(footprints)
     chunks = (cloud.rows + CHUNK - 1) // CHUNK
     chunk = take_ticket(tickets, 0)
     while chunk < chunks:
@@ -96,29 +102,26 @@ def color_chunks(tickets, scratches, cloud, view, footprints):
 
 
 @inlined
-def bare_footprints(footprints):
+def footprint_pointers(footprints):
     """The footprints with pointers instead of arrays."""
-    records, means2d, radii = (
-        pointer(footprints.records, 0),
-        pointer(footprints.means2d, 0),
-        pointer(footprints.radii, 0),
-    )
-    return Footprints(records, means2d, radii, pointer(footprints.boxes, 0), pointer(footprints.faults, 0))
+    records, means2d = pointer(footprints.records, 0), pointer(footprints.means2d, 0)
+    radii, boxes, faults = pointer(footprints.radii, 0), pointer(footprints.boxes, 0), pointer(footprints.faults, 0)
+    return Footprints(records, means2d, radii, boxes, faults)
 
 
 @inlined
 def project_chunk(cloud, view, footprints, chunk):
-    """Project one chunk and note which inputs were not finite."""
+    """Project one chunk and record which inputs were not finite."""
     last = cloud.rows - 1
     zero = splat(np.float32(0))
     faults = (zero, zero, zero, zero)
     for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
         faults = project_group(cloud, view, footprints, first, faults)
-    place = chunk * CHECKED
-    footprints.faults[place] = total(faults[0])
-    footprints.faults[place + 1] = total(faults[1])
-    footprints.faults[place + 2] = total(faults[2])
-    footprints.faults[place + 3] = total(faults[3])
+    offset = chunk * CHECKED_TENSORS
+    footprints.faults[offset] = total(faults[0])
+    footprints.faults[offset + 1] = total(faults[1])
+    footprints.faults[offset + 2] = total(faults[2])
+    footprints.faults[offset + 3] = total(faults[3])
 
 
 @inlined
@@ -132,9 +135,10 @@ def project_group(cloud, view, footprints, first, faults):
     unit, _ = unit_quaternion(quats)
     columns = rotation_columns(unit)
     axis_0, axis_1, ratios = image_axes(view, point)
-    cov = covariance(turned(axis_0, columns), turned(axis_1, columns), scales)
-    center = (fma(point[0] * ratios[0], view[12], view[14]), fma(point[1] * ratios[0], view[13], view[15]))
-    write_group(footprints, view, (first, last), (point[2], opacities), center, cov)
+    cov = covariance(in_gaussian_axes(axis_0, columns), in_gaussian_axes(axis_1, columns), scales)
+    center_x = fma(point[0] * ratios[0], view[FOCAL], view[PRINCIPAL])
+    center_y = fma(point[1] * ratios[0], view[FOCAL + 1], view[PRINCIPAL + 1])
+    write_group(footprints, view, (first, last), (point[2], opacities), (center_x, center_y), cov)
     return (
         fma(means[0] + means[1] + means[2], zero, faults[0]),
         fma(quats[0] + quats[1] + quats[2] + quats[3], zero, faults[1]),
@@ -145,7 +149,7 @@ def project_group(cloud, view, footprints, first, faults):
 
 @inlined
 def color_chunk(scratch, cloud, view, footprints, chunk):
-    """Colour one chunk and note whether a colour was not finite."""
+    """Evaluate the colors of one chunk and record whether one was not finite."""
     last = cloud.rows - 1
     fault = splat(np.float32(0))
     for first in range(chunk * CHUNK, min(chunk * CHUNK + CHUNK, last + 1), 16):
@@ -155,7 +159,7 @@ def color_chunk(scratch, cloud, view, footprints, chunk):
         for channel in range(3):
             scatter_rows(footprints.records, first, last, RECORD, RED + channel, colors[channel])
         fault = fma(color_fault, np.float32(0), fault)
-    footprints.faults[chunk * CHECKED + 4] = total(fault)
+    footprints.faults[chunk * CHECKED_TENSORS + 4] = total(fault)
 
 
 @inlined
@@ -167,17 +171,17 @@ def write_group(footprints, view, rows, depth_opacity, center, cov):
     reach = log2(maximum(opacities, np.float32(1e-4))) + LOG2_255
     span = TWO_LN2 * maximum(reach, zero)
     half_width, half_height = sqrt(span * xx), sqrt(span * yy)
-    seen = (depths > np.float32(NEAR)) & (opacities >= np.float32(MIN_ALPHA)) & (determinant < HUGE)
-    seen = seen & (center[0] + half_width > zero) & (center[0] - half_width < view[23])
-    seen = seen & (center[1] + half_height > zero) & (center[1] - half_height < view[24])
+    seen = (depths > np.float32(NEAR)) & (opacities >= np.float32(MIN_ALPHA)) & (determinant < MAX_DETERMINANT)
+    seen = seen & (center[0] + half_width > zero) & (center[0] - half_width < view[SIZE])
+    seen = seen & (center[1] + half_height > zero) & (center[1] - half_height < view[SIZE + 1])
     store_columns(footprints.means2d, rows[0] * 2, (select(seen, center[0], zero), select(seen, center[1], zero)))
     store(footprints.radii, rows[0], select(seen, maximum(half_width, half_height), zero))
-    drawn = seen & (ramp() <= np.float32(rows[1] - rows[0]))
-    left, right = covered_tiles(center[0], half_width, view[23])
-    top, bottom = covered_tiles(center[1], half_height, view[24])
-    store_boxes(footprints.boxes, rows[0] * 4, (left, top, select(drawn, right, left), bottom))
+    binned = seen & (lane_indices() <= np.float32(rows[1] - rows[0]))
+    left, right = covered_tiles(center[0], half_width, view[SIZE])
+    top, bottom = covered_tiles(center[1], half_height, view[SIZE + 1])
+    store_boxes(footprints.boxes, rows[0] * 4, (left, top, select(binned, right, left), bottom))
     root, inverse = sqrt(yy), one / sqrt(determinant)
-    record = (  # colours, like the padding, are for now whatever is at hand
+    record = (  # xx fills the colors, which are written later, and the padding
         WHITEN * root * inverse, negate(WHITEN * xy * inverse / root), WHITEN / root,
         center[0], center[1], reach - LOG2_255,
         xx, xx, xx, depths,
@@ -188,8 +192,8 @@ def write_group(footprints, view, rows, depth_opacity, center, cov):
 
 @inlined
 def covered_tiles(center, half, size):
-    """First tile and one past the last tile whose pixel centres the interval can reach; equal where it reaches none."""
+    """First tile, and the one after the last, whose pixel centers the interval can reach; equal if it reaches none."""
     low = maximum(ceil(center - half - (np.float32(0.5) + SLACK_PX)), np.float32(0))
     high = minimum(floor(center + half - (np.float32(0.5) - SLACK_PX)), size - np.float32(1))
-    first = floor(minimum(low, size) / TILE)
-    return first, select(high >= low, floor(high / TILE) + np.float32(1), first)
+    first = floor(minimum(low, size) / TILE_SIDE)
+    return first, select(high >= low, floor(high / TILE_SIDE) + np.float32(1), first)

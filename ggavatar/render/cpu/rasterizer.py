@@ -1,7 +1,7 @@
-"""The rasteriser that training uses on a CPU: compiled kernels over 16-lane vectors behind one autograd function.
+"""The rasterizer for training on a CPU: compiled kernels over 16-lane vectors behind one autograd function.
 
-Same numerics as `ggavatar.render.reference` in float32. Results are bit-identical for any number of threads: pieces
-of work are of fixed size, every sum has a place and an order of its own, and nothing is added atomically.
+It computes what `ggavatar.render.reference` does, in float32. Results are bit-identical for any number of threads:
+pieces of work have a fixed size, every sum has a fixed order, and nothing is added atomically.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ggavatar.render.cpu.backward import Incoming
 from ggavatar.render.cpu.forward import Canvas
 from ggavatar.render.cpu.layout import Cloud
 from ggavatar.render.cpu.stages import (
-    Lens,
+    ViewConstants,
     bin_and_color,
     cropped,
     differentiate_all,
@@ -35,36 +35,36 @@ from ggavatar.render.harmonics import used_degree
 
 
 def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
-    """Draw Gaussians on a constant background.
+    """Render Gaussians on a constant background.
 
     Args:
         gaussians: On the CPU; other dtypes than float32 and non-contiguous tensors are converted.
         camera: Differentiable in `world_to_camera`, not in `intrinsics`.
-        background: sRGB, differentiable.
+        background: sRGB color, differentiable.
 
     Returns:
         The rendering in float32.
 
     Raises:
-        InputError: Shapes do not fit, a tensor holds NaN or infinity, or `intrinsics` asks for a gradient.
+        InputError: Shapes do not match, a tensor holds NaN or infinity, or `intrinsics` requires a gradient.
     """
     check_shapes(gaussians, camera, background)
     if camera.intrinsics.requires_grad:
         raise InputError(
-            "camera.intrinsics: the cpu rasteriser gives no gradient for them; detach them or use the reference"
+            "camera.intrinsics: the cpu rasterizer computes no gradient of intrinsics; detach them, or use the "
+            "reference rasterizer"
         )
     colors = gaussians.colors
     degree = used_degree(colors.shape[1], gaussians.sh_degree) if colors.ndim == 3 else -1
     means2d = padded(gaussians.means.shape[0], 2).requires_grad_(torch.is_grad_enabled())
-    lens = Lens(camera.intrinsics.detach().double().numpy(), camera.width, camera.height, degree)
-    inputs = [_plain(getattr(gaussians, name)) for name in FIELDS]
-    image, alpha, depth, radii = _Rasterize.apply(
-        lens, means2d, _plain(camera.world_to_camera), _plain(background), *inputs
-    )
+    constants = ViewConstants(camera.intrinsics.detach().double().numpy(), camera.width, camera.height, degree)
+    inputs = [_contiguous_float32(getattr(gaussians, name)) for name in FIELDS]
+    pose, background = _contiguous_float32(camera.world_to_camera), _contiguous_float32(background)
+    image, alpha, depth, radii = _Rasterize.apply(constants, means2d, pose, background, *inputs)
     return Rendering(image, alpha, depth, means2d, radii)
 
 
-def _plain(tensor: Tensor) -> Tensor:
+def _contiguous_float32(tensor: Tensor) -> Tensor:
     return tensor.to(torch.float32).contiguous()
 
 
@@ -76,47 +76,49 @@ def _cloud(inputs: tuple[Tensor, ...], degree: int) -> Cloud:
 
 
 class _Rasterize(torch.autograd.Function):
-    """(means2d, pose, background, Gaussians) → image, alpha, depth, radii; `means2d` is filled on the way."""
+    """(means2d, pose, background, Gaussians) → image, alpha, depth, radii; also writes `means2d`."""
 
     @staticmethod
     def forward(
-        ctx: Any, lens: Lens, means2d: Tensor, pose: Tensor, background: Tensor, *inputs: Tensor
+        ctx: Any, constants: ViewConstants, means2d: Tensor, pose: Tensor, background: Tensor, *inputs: Tensor
     ) -> tuple[Tensor, ...]:
-        view, cloud, radii = view_array(lens, pose, background), _cloud(inputs, lens.degree), padded(len(means2d))
+        view, cloud = view_array(constants, pose, background), _cloud(inputs, constants.degree)
+        radii = padded(len(means2d))
         if not np.isfinite(view).all():
-            named = zip(VIEW_NAMES, (torch.from_numpy(lens.intrinsics), pose, background), strict=True)
+            named = zip(VIEW_NAMES, (torch.from_numpy(constants.intrinsics), pose, background), strict=True)
             check_finite(dict(named))
         footprints = project_all(cloud, view, means2d, radii)
         bins = bin_and_color(cloud, view, footprints)
         if not np.isfinite(footprints.faults).all():
             check_finite({f"gaussians.{name}": tensor for name, tensor in zip(FIELDS, inputs, strict=True)})
         tensors, hits, ends = draw_all(bins, footprints.records, view)
-        image, light, depth, alpha = tensors
+        image, transmittance, depth, alpha = tensors
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
-        ctx.save_for_backward(pose, *inputs, image, light, depth)
-        ctx.lens, ctx.view, ctx.footprints, ctx.bins, ctx.drawn = lens, view, footprints, bins, (hits, ends)
-        return cropped(image, lens), cropped(alpha, lens), cropped(depth, lens), radii
+        ctx.save_for_backward(pose, *inputs, image, transmittance, depth)
+        ctx.constants, ctx.view, ctx.footprints = constants, view, footprints
+        ctx.bins, ctx.hits_ends = bins, (hits, ends)
+        return cropped(image, constants), cropped(alpha, constants), cropped(depth, constants), radii
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[Tensor | None, ...]:
-        pose, *inputs, image, light, depth = ctx.saved_tensors
-        arriving = [
-            whole_tiles(gradient, like) for gradient, like in zip(incoming, (image, light, depth), strict=False)
+        pose, *inputs, image, transmittance, depth = ctx.saved_tensors
+        upstream = [
+            whole_tiles(gradient, like) for gradient, like in zip(incoming, (image, transmittance, depth), strict=False)
         ]
-        # Alpha itself is not needed again, its complement is.
-        canvas = Canvas(flat(image), flat(light), flat(depth), flat(light), *ctx.drawn)
-        work = ctx.footprints, ctx.bins, canvas, Incoming(*(flat(tensor) for tensor in arriving))
-        gradients, sums = differentiate_all(_cloud(tuple(inputs), ctx.lens.degree), ctx.view, *work)
+        # The backward pass reads transmittance and not alpha, whose place it takes here.
+        canvas = Canvas(flat(image), flat(transmittance), flat(depth), flat(transmittance), *ctx.hits_ends)
+        work = ctx.footprints, ctx.bins, canvas, Incoming(*(flat(tensor) for tensor in upstream))
+        gradients, sums = differentiate_all(_cloud(tuple(inputs), ctx.constants.degree), ctx.view, *work)
         means, quats, scales, opacities, colors, means2d = gradients
         colors = colors.view_as(inputs[4])
-        background = _background_gradient(arriving[0], light) if ctx.needs_input_grad[3] else None
+        background = _background_gradient(upstream[0], transmittance) if ctx.needs_input_grad[3] else None
         return None, means2d, _pose_gradient(pose, sums), background, means, quats, scales, opacities, colors
 
 
 def _pose_gradient(pose: Tensor, sums: np.ndarray) -> Tensor:
-    """Gradient of `world_to_camera`, given sums for its rotation, its translation and the camera centre −Rᵀ t."""
+    """Gradient of `world_to_camera`, given sums for its rotation, its translation and the camera center −Rᵀ t."""
     transform, center = pose.double().numpy(), sums[12:]
     gradient = np.zeros((4, 4))
     gradient[:3, :3] = sums[:9].reshape(3, 3) - np.outer(transform[:3, 3], center)
@@ -124,8 +126,8 @@ def _pose_gradient(pose: Tensor, sums: np.ndarray) -> Tensor:
     return torch.from_numpy(gradient.astype(np.float32))
 
 
-def _background_gradient(image: Tensor, light: Tensor) -> Tensor:
-    """Sum over the pixels of gradient times remaining light, in one thread and so always in the same order."""
-    incoming, remaining = image.numpy().reshape(-1, 3), light.numpy().reshape(-1)
+def _background_gradient(image: Tensor, transmittance: Tensor) -> Tensor:
+    """Sum over the pixels of gradient times transmittance, in one thread and therefore always in the same order."""
+    incoming, remaining = image.numpy().reshape(-1, 3), transmittance.numpy().reshape(-1)
     total = np.einsum("pc,p->c", incoming.astype(np.float64), remaining.astype(np.float64))
     return torch.from_numpy(total.astype(np.float32))

@@ -1,1 +1,1 @@
-"""Flat discs for PointAvatar: a rasteriser of their own."""
+"""The rasterizer of flat discs (PointAvatar)."""

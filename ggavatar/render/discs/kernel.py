@@ -1,7 +1,7 @@
-"""Compiled drawing of discs and its gradient: every pixel keeps the places of its nearest discs in its tile's list.
+"""Compiled rasterization of discs and its gradient; every pixel stores its nearest discs as entries of its tile's list.
 
-A tile is drawn by one thread, and every entry of a tile's list has a slot of its own for its gradient; results do
-not depend on the number of threads.
+A tile is drawn by one thread, and every entry of a tile's list has a slot of its own for its gradient; results do not
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -13,17 +13,16 @@ import numpy as np
 
 from ggavatar.jit.kernels import inlined, kernel
 from ggavatar.jit.memory import pointer, take_ticket
-from ggavatar.render.cpu.binning import bare_bins
-from ggavatar.render.cpu.blending import TILE, TILES_PER_TICKET
-from ggavatar.render.cpu.projection import BLUE, DEPTH, GREEN, RECORD, RED, X, Y
+from ggavatar.render.cpu.binning import bin_pointers
+from ggavatar.render.cpu.blending import TILES_PER_TICKET
+from ggavatar.render.cpu.layout import BLUE, DEPTH, GREEN, RECORD, RED, TILE, X, Y
 from ggavatar.render.discs.values import NEAREST, SHOWN_WEIGHT
 
-PIXELS = TILE * TILE
 HALF, ONE, ZERO = np.float32(0.5), np.float32(1), np.float32(0)
-MUCH = np.float32(SHOWN_WEIGHT)
+SHOWN_LIMIT = np.float32(SHOWN_WEIGHT)
 
 TO_RED, TO_GREEN, TO_BLUE, TO_X, TO_Y, SLOT = range(6)
-"""Places in the slot of a gradient, and their number."""
+"""Offsets in the slot of a gradient, and its length in floats."""
 
 
 class View(NamedTuple):
@@ -36,48 +35,52 @@ class View(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """What is drawn.
+    """The output of the forward pass, flat.
 
-    `image` [H·W, 3], `light` [H·W] the transmittance that is left, `depth` [H·W]; `places` [H·W, 10] the discs of
-    every pixel as places in its tile's list, `counts` [H·W] how many; `shown` by slot.
+    `image` [H·W, 3], the final `transmittance` [H·W] and `depth` [H·W]; `entries` [H·W, 10] are every pixel's discs as
+    entries of the tile lists, `counts` [H·W] their number; `shown` [M] tells by slot whether a disc shows in a tile.
     """
 
     image: np.ndarray
-    light: np.ndarray
+    transmittance: np.ndarray
     depth: np.ndarray
-    places: np.ndarray
+    entries: np.ndarray
     counts: np.ndarray
     shown: np.ndarray
 
 
 @inlined
-def bare_drawing(drawing):
+def drawing_pointers(drawing):
     """The drawing with pointers instead of arrays."""
-    image, light, depth = pointer(drawing.image, 0), pointer(drawing.light, 0), pointer(drawing.depth, 0)
-    places, counts, shown = pointer(drawing.places, 0), pointer(drawing.counts, 0), pointer(drawing.shown, 0)
-    return Drawing(image, light, depth, places, counts, shown)
+    image, transmittance, depth = (
+        pointer(drawing.image, 0),
+        pointer(drawing.transmittance, 0),
+        pointer(drawing.depth, 0),
+    )
+    entries, counts, shown = pointer(drawing.entries, 0), pointer(drawing.counts, 0), pointer(drawing.shown, 0)
+    return Drawing(image, transmittance, depth, entries, counts, shown)
 
 
 @inlined
-def span(center, half, size):
-    """First pixel, and first pixel beyond, of those in [0, size) whose centres lie within `half` of `center`, px."""
+def pixel_span(center, half, size):
+    """Range (last one exclusive) of the pixels in [0, size) whose centers lie within `half` of `center`, px."""
     low, high = ceil(center - half - HALF), floor(center + half - HALF)
     return max(np.int64(low), 0), min(np.int64(high) + 1, size)
 
 
 @kernel
 def place_discs(means2d, depths, radii, colors, view, records, boxes):
-    """One record and one box of tiles (left, top, right, bottom, exclusive) for every disc."""
+    """Write a record and a box of tiles (left, top, right, bottom, exclusive) for every disc."""
     for index in range(depths.size):
-        place = index * RECORD
-        records[place + X], records[place + Y] = means2d[index, 0], means2d[index, 1]
-        records[place + DEPTH] = depths[index]
-        records[place + RED], records[place + GREEN] = colors[index, 0], colors[index, 1]
-        records[place + BLUE] = colors[index, 2]
+        offset = index * RECORD
+        records[offset + X], records[offset + Y] = means2d[index, 0], means2d[index, 1]
+        records[offset + DEPTH] = depths[index]
+        records[offset + RED], records[offset + GREEN] = colors[index, 0], colors[index, 1]
+        records[offset + BLUE] = colors[index, 2]
         boxes[4 * index : 4 * index + 4] = 0
         if radii[index] > ZERO:
-            left, right = span(means2d[index, 0], view.radius, view.width)
-            top, bottom = span(means2d[index, 1], view.radius, view.height)
+            left, right = pixel_span(means2d[index, 0], view.radius, view.width)
+            top, bottom = pixel_span(means2d[index, 1], view.radius, view.height)
             if right > left and bottom > top:
                 boxes[4 * index], boxes[4 * index + 1] = left // TILE, top // TILE
                 boxes[4 * index + 2], boxes[4 * index + 3] = (right - 1) // TILE + 1, (bottom - 1) // TILE + 1
@@ -85,10 +88,10 @@ def place_discs(means2d, depths, radii, colors, view, records, boxes):
 
 @kernel
 def draw_tiles(tickets, bins, records, background, view, drawing):
-    """Draw tiles until none is left."""
+    """Kernel of one worker: draw tiles until none is left."""
     tiles = bins.starts.size - 1
-    bins, records, background = bare_bins(bins), pointer(records, 0), pointer(background, 0)
-    drawing = bare_drawing(drawing)
+    bins, records, background = bin_pointers(bins), pointer(records, 0), pointer(background, 0)
+    drawing = drawing_pointers(drawing)
     first = take_ticket(tickets, 0) * TILES_PER_TICKET
     while first < tiles:
         for tile in range(first, min(first + TILES_PER_TICKET, tiles)):
@@ -98,7 +101,7 @@ def draw_tiles(tickets, bins, records, background, view, drawing):
 
 
 @inlined
-def corner(view, tile):
+def tile_bounds(view, tile):
     """Left, top, right and bottom pixel (exclusive) of a tile within the image."""
     left, top = (tile % view.tiles_x) * TILE, (tile // view.tiles_x) * TILE
     return left, top, min(left + TILE, view.width), min(top + TILE, view.height)
@@ -106,29 +109,29 @@ def corner(view, tile):
 
 @inlined
 def find_nearest(bins, records, view, drawing, tile):
-    """Note the nearest discs of every pixel of a tile."""
-    left, top, right, bottom = corner(view, tile)
+    """Store the nearest discs of every pixel of a tile."""
+    left, top, right, bottom = tile_bounds(view, tile)
     for y in range(top, bottom):
         for x in range(left, right):
             drawing.counts[y * view.width + x] = 0
     open_pixels = (right - left) * (bottom - top)
     square = view.radius * view.radius
-    for place in range(bins.starts[tile], bins.starts[tile + 1]):
-        drawing.shown[bins.entries[2 * place + 1]] = 0
+    for entry in range(bins.starts[tile], bins.starts[tile + 1]):
+        drawing.shown[bins.entries[2 * entry + 1]] = 0
         if open_pixels == 0:
             continue
-        record = np.int64(bins.entries[2 * place]) * RECORD
+        record = np.int64(bins.entries[2 * entry]) * RECORD
         center_x, center_y = records[record + X], records[record + Y]
-        first_y, last_y = span(center_y, view.radius, bottom)
+        first_y, last_y = pixel_span(center_y, view.radius, bottom)
         for y in range(max(first_y, top), last_y):
             dy = np.float32(y) + HALF - center_y
             half = np.float32(sqrt(max(square - dy * dy, ZERO)))
-            first_x, last_x = span(center_x, half, right)
+            first_x, last_x = pixel_span(center_x, half, right)
             for x in range(max(first_x, left), last_x):
                 pixel = y * view.width + x
                 count = drawing.counts[pixel]
                 if count < NEAREST:
-                    drawing.places[pixel * NEAREST + count] = place
+                    drawing.entries[pixel * NEAREST + count] = entry
                     drawing.counts[pixel] = count + 1
                     if count == NEAREST - 1:
                         open_pixels -= 1
@@ -136,7 +139,7 @@ def find_nearest(bins, records, view, drawing, tile):
 
 @inlined
 def coverage(records, record, x, y, radius):
-    """Alpha of a disc in a pixel, and the offset of the pixel from its centre in radii."""
+    """Alpha of a disc in a pixel, and the pixel's offset from the disc's center, in radii."""
     dx = (np.float32(x) + HALF - records[record + X]) / radius
     dy = (np.float32(y) + HALF - records[record + Y]) / radius
     return max(ONE - (dx * dx + dy * dy), ZERO), dx, dy
@@ -144,28 +147,28 @@ def coverage(records, record, x, y, radius):
 
 @inlined
 def composite(bins, records, background, view, drawing, tile):
-    """Blend the discs of every pixel of a tile front to back, and note which of them show."""
-    left, top, right, bottom = corner(view, tile)
+    """Blend the discs of every pixel of a tile front to back, and mark those that show."""
+    left, top, right, bottom = tile_bounds(view, tile)
     for y in range(top, bottom):
         for x in range(left, right):
             pixel = y * view.width + x
-            light, red, green, blue, depth = ONE, ZERO, ZERO, ZERO, ZERO
+            transmittance, red, green, blue, depth = ONE, ZERO, ZERO, ZERO, ZERO
             for number in range(drawing.counts[pixel]):
-                place = np.int64(drawing.places[pixel * NEAREST + number])
-                record = np.int64(bins.entries[2 * place]) * RECORD
+                entry = np.int64(drawing.entries[pixel * NEAREST + number])
+                record = np.int64(bins.entries[2 * entry]) * RECORD
                 alpha, _, _ = coverage(records, record, x, y, view.radius)
-                weight = alpha * light
-                light = light * (ONE - alpha)
+                weight = alpha * transmittance
+                transmittance = transmittance * (ONE - alpha)
                 red += weight * records[record + RED]
                 green += weight * records[record + GREEN]
                 blue += weight * records[record + BLUE]
                 depth += weight * records[record + DEPTH]
-                if number == 0 or weight > MUCH:
-                    drawing.shown[bins.entries[2 * place + 1]] = 1
-            drawing.image[3 * pixel] = red + light * background[0]
-            drawing.image[3 * pixel + 1] = green + light * background[1]
-            drawing.image[3 * pixel + 2] = blue + light * background[2]
-            drawing.light[pixel], drawing.depth[pixel] = light, depth
+                if number == 0 or weight > SHOWN_LIMIT:
+                    drawing.shown[bins.entries[2 * entry + 1]] = 1
+            drawing.image[3 * pixel] = red + transmittance * background[0]
+            drawing.image[3 * pixel + 1] = green + transmittance * background[1]
+            drawing.image[3 * pixel + 2] = blue + transmittance * background[2]
+            drawing.transmittance[pixel], drawing.depth[pixel] = transmittance, depth
 
 
 @kernel
@@ -180,27 +183,24 @@ def gather_shown(bins, by_slot, shown):
 
 @kernel
 def differentiate_tiles(tickets, bins, records, background, view, drawing, incoming, slots):
-    """Fill the slots of tiles until none is left."""
+    """Kernel of one worker: fill the slots of tiles until none is left."""
     tiles = bins.starts.size - 1
-    bins, records, background = bare_bins(bins), pointer(records, 0), pointer(background, 0)
-    drawing, slots, incoming = (
-        bare_drawing(drawing),
-        pointer(slots, 0),
-        (pointer(incoming[0], 0), pointer(incoming[1], 0)),
-    )
-    lights, alphas = np.empty(NEAREST, np.float32), np.empty(NEAREST, np.float32)
+    bins, records, background = bin_pointers(bins), pointer(records, 0), pointer(background, 0)
+    drawing, slots = drawing_pointers(drawing), pointer(slots, 0)
+    incoming = pointer(incoming[0], 0), pointer(incoming[1], 0)
+    transmittances, alphas = np.empty(NEAREST, np.float32), np.empty(NEAREST, np.float32)
     first = take_ticket(tickets, 0) * TILES_PER_TICKET
     while first < tiles:
         for tile in range(first, min(first + TILES_PER_TICKET, tiles)):
-            for place in range(bins.starts[tile], bins.starts[tile + 1]):
-                slot: Any = np.int64(bins.entries[2 * place + 1]) * SLOT
+            for entry in range(bins.starts[tile], bins.starts[tile + 1]):
+                slot: Any = np.int64(bins.entries[2 * entry + 1]) * SLOT
                 for part in range(SLOT):
                     slots[slot + part] = ZERO
-            left, top, right, bottom = corner(view, tile)
+            left, top, right, bottom = tile_bounds(view, tile)
             for y in range(top, bottom):
                 for x in range(left, right):
                     differentiate_pixel(
-                        bins, records, background, view, drawing, incoming, (x, y, lights, alphas), slots
+                        bins, records, background, view, drawing, incoming, (x, y, transmittances, alphas), slots
                     )
         first = take_ticket(tickets, 0) * TILES_PER_TICKET
 
@@ -209,48 +209,48 @@ def differentiate_tiles(tickets, bins, records, background, view, drawing, incom
 def differentiate_pixel(bins, records, background, view, drawing, incoming, work, slots):
     """Add one pixel's part to the slots of its discs, back to front.
 
-    With B what a pixel would show of the discs behind one, ∂/∂alpha = light · ⟨g, colour − B⟩; B folds from back to
-    front without a division.
+    Let g be the pixel's gradient and B its color without a disc and those in front of it; then ∂/∂alpha = transmittance
+    · ⟨g, color − B⟩, and B accumulates from back to front without a division.
     """
     to_image, to_alpha = incoming
-    x, y, lights, alphas = work
+    x, y, transmittances, alphas = work
     pixel = y * view.width + x
     count = np.int64(drawing.counts[pixel])
-    light = ONE
+    transmittance = ONE
     for front in range(count):
         number: Any = np.int64(front)
-        place = np.int64(drawing.places[pixel * NEAREST + number])
-        lights[number] = light
-        alphas[number], _, _ = coverage(records, np.int64(bins.entries[2 * place]) * RECORD, x, y, view.radius)
-        light = light * (ONE - alphas[number])
+        entry = np.int64(drawing.entries[pixel * NEAREST + number])
+        transmittances[number] = transmittance
+        alphas[number], _, _ = coverage(records, np.int64(bins.entries[2 * entry]) * RECORD, x, y, view.radius)
+        transmittance = transmittance * (ONE - alphas[number])
     red, green, blue = to_image[3 * pixel], to_image[3 * pixel + 1], to_image[3 * pixel + 2]
     # The gradient of alpha acts like a fourth channel that is 1 on discs and 0 behind them.
     behind = red * background[0] + green * background[1] + blue * background[2]
     for back in range(count):
         number = np.int64(count - 1 - back)
-        place = np.int64(drawing.places[pixel * NEAREST + number])
-        record, slot = np.int64(bins.entries[2 * place]) * RECORD, np.int64(bins.entries[2 * place + 1]) * SLOT
+        entry = np.int64(drawing.entries[pixel * NEAREST + number])
+        record, slot = np.int64(bins.entries[2 * entry]) * RECORD, np.int64(bins.entries[2 * entry + 1]) * SLOT
         own = red * records[record + RED] + green * records[record + GREEN] + blue * records[record + BLUE]
         own = own + to_alpha[pixel]
         alpha, dx, dy = coverage(records, record, x, y, view.radius)
-        weight = lights[number] * alpha
-        pull = lights[number] * (own - behind) * (ONE + ONE) / view.radius
+        weight = transmittances[number] * alpha
+        d_offset = transmittances[number] * (own - behind) * (ONE + ONE) / view.radius
         slots[slot + TO_RED] += weight * red
         slots[slot + TO_GREEN] += weight * green
         slots[slot + TO_BLUE] += weight * blue
-        slots[slot + TO_X] += pull * dx
-        slots[slot + TO_Y] += pull * dy
+        slots[slot + TO_X] += d_offset * dx
+        slots[slot + TO_Y] += d_offset * dy
         behind = alpha * own + (ONE - alpha) * behind
 
 
 @kernel
 def gather_slots(bins, slots, to_colors, to_means2d):
-    """Sum the slots of every disc, tile by tile."""
+    """Sum the slots of every disc, in order of tiles."""
     for index in range(to_colors.shape[0]):
         red, green, blue, x, y = ZERO, ZERO, ZERO, ZERO, ZERO
         for slot in range(bins.slots[index], bins.slots[index + 1]):
-            place = slot * SLOT
-            red, green, blue = red + slots[place], green + slots[place + TO_GREEN], blue + slots[place + TO_BLUE]
-            x, y = x + slots[place + TO_X], y + slots[place + TO_Y]
+            offset = slot * SLOT
+            red, green, blue = red + slots[offset], green + slots[offset + TO_GREEN], blue + slots[offset + TO_BLUE]
+            x, y = x + slots[offset + TO_X], y + slots[offset + TO_Y]
         to_colors[index, 0], to_colors[index, 1], to_colors[index, 2] = red, green, blue
         to_means2d[index, 0], to_means2d[index, 1] = x, y

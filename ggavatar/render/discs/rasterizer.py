@@ -1,4 +1,4 @@
-"""Rasteriser of discs (PointAvatar): compiled kernels on a CPU, plain torch elsewhere."""
+"""Rasterizer of discs (PointAvatar): compiled kernels on a CPU, plain torch elsewhere."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from ggavatar.render.discs.values import DiscRendering, Discs, project_discs, ra
 
 
 def rasterizer(device: torch.device | str, backend: str = "auto") -> Rasterizer:
-    """The renderer of discs for tensors on `device`.
+    """The rasterizer of discs for tensors on `device`.
 
     Args:
-        device: Where the points live.
-        backend: `reference` for plain torch; every other name takes what is fastest on the device.
+        device: Device of the points; both rasterizers work on any.
+        backend: `reference` for plain torch; any other name chooses the fastest one for the tensors it is given.
     """
     return _reference if backend == "reference" else rasterize
 
 
 def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> DiscRendering:
-    """Draw the ten nearest discs of every pixel, front to back.
+    """Render the ten nearest discs of every pixel, blended front to back.
 
     Args:
-        gaussians: Discs with RGB colours.
+        gaussians: Discs with RGB colors.
         camera: Differentiable in `world_to_camera`.
-        background: sRGB, without gradient.
+        background: sRGB color, without gradient.
 
     Returns:
-        The rendering, its depth without gradient.
+        The rendering; its depth has no gradient.
 
     Raises:
-        InputError: These are no discs, shapes do not fit, or a tensor holds NaN or infinity.
+        InputError: `gaussians` are not discs with RGB colors, shapes do not match, or a tensor holds NaN or infinity.
     """
     discs = _checked(gaussians, camera, background)
     if not compiled_for(discs.means, discs.colors):
@@ -60,40 +60,42 @@ def _reference(gaussians: Gaussians, camera: Camera, background: Tensor) -> Disc
 
 
 def _checked(gaussians: Gaussians, camera: Camera, background: Tensor) -> Discs:
-    """The discs, if they can be drawn."""
+    """The discs, after checking that they can be rendered."""
     if not isinstance(gaussians, Discs) or gaussians.colors.ndim != 2:
-        raise InputError(f"expected discs with RGB colours, found {type(gaussians).__name__}; draw those with pick()")
+        raise InputError(
+            f"expected discs with RGB colors, found {type(gaussians).__name__}; "
+            "render Gaussians with the rasterizer of ggavatar.render.backends.pick"
+        )
     check_shapes(gaussians, camera, background)
-    drawn = {"gaussians.means": gaussians.means, "gaussians.colors": gaussians.colors}
-    check_finite(drawn | camera_tensors(camera, background))
+    rendered = {"gaussians.means": gaussians.means, "gaussians.colors": gaussians.colors}
+    check_finite(rendered | camera_tensors(camera, background))
     return gaussians
 
 
 class _Rasterize(torch.autograd.Function):
-    """(image positions, colours) → image, alpha, depth, shown."""
+    """(projected centers, colors) → image, alpha, depth, shown."""
 
     @staticmethod
     def forward(ctx: Any, size: tuple[int, int, float], *inputs: Tensor) -> tuple[Tensor, ...]:
         stages = importlib.import_module("ggavatar.render.discs.stages")
         width, height, _ = size
-        placed = stages.place(size, *inputs)
-        drawing, shown = stages.draw(placed)
-        image, light = (torch.from_numpy(values) for values in (drawing.image, drawing.light))
-        depth = torch.from_numpy(drawing.depth).view(height, width, 1)
-        marks = torch.from_numpy(shown)
-        ctx.placed, ctx.drawing = placed, drawing
-        ctx.mark_non_differentiable(depth, marks)
+        discs = stages.bin_discs(size, *inputs)
+        drawing, shown = stages.draw(discs)
+        image, transmittance = (torch.from_numpy(values) for values in (drawing.image, drawing.transmittance))
+        depth, is_shown = torch.from_numpy(drawing.depth).view(height, width, 1), torch.from_numpy(shown)
+        ctx.discs, ctx.drawing = discs, drawing
+        ctx.mark_non_differentiable(depth, is_shown)
         ctx.set_materialize_grads(False)
-        return image.view(height, width, 3), 1 - light.view(height, width, 1), depth, marks
+        return image.view(height, width, 3), 1 - transmittance.view(height, width, 1), depth, is_shown
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, to_image: Tensor | None, to_alpha: Tensor | None, *_: Any) -> tuple[Tensor | None, ...]:
         stages = importlib.import_module("ggavatar.render.discs.stages")
-        pixels = ctx.drawing.light.size
-        arriving = [
+        pixels = ctx.drawing.transmittance.size
+        upstream = [
             np.zeros(pixels * channels, np.float32) if gradient is None else gradient.contiguous().view(-1).numpy()
             for gradient, channels in ((to_image, 3), (to_alpha, 1))
         ]
-        to_colors, to_means2d = stages.differentiate(ctx.placed, ctx.drawing, *arriving)
+        to_colors, to_means2d = stages.differentiate(ctx.discs, ctx.drawing, *upstream)
         return None, None, None, None, torch.from_numpy(to_means2d), torch.from_numpy(to_colors)

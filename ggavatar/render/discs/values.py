@@ -1,4 +1,4 @@
-"""Discs: points drawn as small round patches of a fixed size on the image, and what drawing them returns."""
+"""Discs, points that are rendered as round patches of a fixed size on the image, and their renderings."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ggavatar.core import Camera, Gaussians, Rendering
 from ggavatar.render.constants import NEAR
 
 NEAREST = 10
-"""Discs that may show in one pixel, the nearest ones (PointAvatar)."""
+"""Number of discs that are blended in a pixel: the nearest ones (PointAvatar)."""
 
 SHOWN_WEIGHT = 0.5
-"""A disc shows if it is the first one in a pixel or weighs more than this in one (PointAvatar)."""
+"""A disc shows if it is the first one in some pixel or its weight there exceeds this (PointAvatar)."""
 
 
 @dataclass(frozen=True)
 class Discs(Gaussians):
     """Points that cover a disc of the image whatever their distance: alpha = 1 − d²/r².
 
-    `means` and RGB `colors` are drawn. The other fields of a Gaussian say what the disc resembles, for whoever counts,
-    exports or draws Gaussians instead.
+    Only `means` and RGB `colors` are rendered. The other fields describe a similar Gaussian, for code that counts,
+    exports or renders Gaussians instead.
 
     Attributes:
-        radius: Of every disc, half the shorter side of the image (normalised device coordinates).
+        radius: Radius of every disc in normalized device coordinates, whose unit is half the image's shorter side.
     """
 
     radius: float = 0.0
@@ -34,36 +34,36 @@ class Discs(Gaussians):
 
 @dataclass(frozen=True)
 class DiscRendering(Rendering):
-    """A picture of discs.
+    """A rendering of discs.
 
     Attributes:
-        shown: Which discs were the first one in a pixel, or weighed more than one half in one.
+        shown: Which discs are the first one in some pixel, or have a weight above one half in one.
     """
 
     shown: Bool[Tensor, " N"]
 
 
 def similar_scale(radius: float, distance: float) -> float:
-    """Standard deviation of a Gaussian with the second moment of a disc's alpha: radius · distance / √6.
+    """Standard deviation in m of a Gaussian with the second moment of a disc's alpha: radius · distance / √6.
 
     Args:
-        radius: Of the disc, normalised device coordinates.
-        distance: Metres per unit of these coordinates where the disc is.
+        radius: Radius of the disc, normalized device coordinates.
+        distance: Meters per unit of these coordinates at the disc's depth.
     """
     return radius * distance / 6**0.5
 
 
 def radius_in_pixels(radius: float, camera: Camera) -> float:
-    """Radius in px of discs of a radius in normalised device coordinates."""
+    """Radius in px, given a radius in normalized device coordinates."""
     return radius * min(camera.width, camera.height) / 2
 
 
 def project_discs(
     means: Float[Tensor, "N 3"], radius: float, camera: Camera
 ) -> tuple[Float[Tensor, "N 2"], Float[Tensor, " N"], Float[Tensor, " N"]]:
-    """Centres in px, camera z in m, and radii in px, which are 0 for discs behind the camera or beside the image.
+    """Centers in px, camera z in m, and radii in px, which are 0 for discs behind the camera or outside the image.
 
-    Sums of three terms are written out, so that they come in one order whatever the threads do.
+    Sums of three terms are written out, so that their order does not depend on the number of threads.
     """
     x, y, z = means.unbind(-1)
     rows = camera.world_to_camera.to(means).unbind(0)
@@ -72,6 +72,6 @@ def project_discs(
     k = camera.intrinsics.to(means)
     means2d = torch.stack((k[0, 0] * right / safe + k[0, 2], k[1, 1] * down / safe + k[1, 2]), dim=-1)
     reach = radius_in_pixels(radius, camera)
-    place, size = means2d.detach(), means2d.new_tensor([camera.width, camera.height])
-    inside = ((place + reach > 0) & (place - reach < size)).all(-1) & (depths.detach() > NEAR)
+    center, size = means2d.detach(), means2d.new_tensor([camera.width, camera.height])
+    inside = ((center + reach > 0) & (center - reach < size)).all(-1) & (depths.detach() > NEAR)
     return means2d, depths, torch.where(inside, reach, 0.0).to(means.dtype)

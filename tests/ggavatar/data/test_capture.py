@@ -209,7 +209,7 @@ def test_wrong_pictures(folder, kind):
     with pytest.raises(InputError, match=r"expected 16×12 px as capture\.json says, found 15×12"):
         Capture.open(folder)
     path.write_bytes(original[:20])
-    with pytest.raises(InputError, match="cut off"):
+    with pytest.raises(InputError, match="truncated"):
         Capture.open(folder)
     path.write_bytes(b"GIF89a" + original)
     with pytest.raises(InputError, match="expected a PNG or JPEG"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from scipy.spatial.transform import Rotation
 
-from ggavatar.geometry.deformation_transfer import nearest_rotation, transferred
+from ggavatar.geometry.deformation_transfer import nearest_rotation, transfer_blendshapes
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.head.model import HeadModel
 
@@ -15,7 +15,9 @@ def test_a_rotated_mesh_turns_every_triangle_by_that_rotation(toy_head: HeadMode
     turn = torch.from_numpy(Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix())
     shift = torch.tensor([0.01, 0.02, -0.03], dtype=torch.float64)
     moved = head.template @ turn.T + shift - head.template
-    linear, offset, quats = transferred(head.template, head.faces, moved[:, :, None]).at(torch.ones(1).double())
+    linear, offset, quats = transfer_blendshapes(head.template, head.faces, moved[:, :, None]).at(
+        torch.ones(1).double()
+    )
     assert torch.allclose(linear, turn.expand_as(linear), atol=1e-9)
     assert torch.allclose(offset, shift.expand_as(offset), atol=1e-9)
     assert torch.allclose(quaternion_to_matrix(quats), turn.expand_as(linear), atol=1e-9)
@@ -23,7 +25,7 @@ def test_a_rotated_mesh_turns_every_triangle_by_that_rotation(toy_head: HeadMode
 
 def test_corners_and_centroid_go_where_the_mesh_goes(toy_head: HeadModel) -> None:
     head = toy_head.to("cpu", torch.float64)
-    changes = transferred(head.template, head.faces, head.expression_basis)
+    changes = transfer_blendshapes(head.template, head.faces, head.expression_basis)
     for unit in torch.eye(3).double():
         linear, offset, _ = changes.at(unit)
         wanted = (head.template + head.expression_basis @ unit)[head.faces]
@@ -35,7 +37,7 @@ def test_corners_and_centroid_go_where_the_mesh_goes(toy_head: HeadModel) -> Non
 
 
 def test_blends_are_linear_and_nothing_is_the_identity(toy_head: HeadModel) -> None:
-    changes = transferred(toy_head.template, toy_head.faces, toy_head.expression_basis)
+    changes = transfer_blendshapes(toy_head.template, toy_head.faces, toy_head.expression_basis)
     still = changes.at(torch.zeros(3))
     assert torch.equal(still[0], torch.eye(3).expand_as(still[0])) and not still[1].any()
     assert torch.equal(still[2], torch.tensor([1.0, 0.0, 0.0, 0.0]).expand_as(still[2]))
@@ -47,11 +49,11 @@ def test_blends_are_linear_and_nothing_is_the_identity(toy_head: HeadModel) -> N
 def test_triangles_without_area_are_only_translated() -> None:
     points = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0, 0.1, 0]])
     shape = torch.tensor([[0.0, 0, 0.03], [0, 0, 0.03], [0, 0, 0.03], [0.01, 0, 0]])
-    changes = transferred(points, torch.tensor([[0, 1, 2], [0, 1, 3]]), shape[:, :, None])
+    changes = transfer_blendshapes(points, torch.tensor([[0, 1, 2], [0, 1, 3]]), shape[:, :, None])
     assert not changes.table[0, :9].any() and not changes.table[0, 12:].any()
     assert torch.allclose(changes.table[0, 9:12, 0], torch.tensor([0.0, 0.0, 0.03]))
     assert torch.isfinite(changes.table).all()
-    more = changes.with_still(2)
+    more = changes.with_static_faces(2)
     assert torch.equal(more.table[:2], changes.table) and not more.table[2:].any() and not more.displacement[2:].any()
 
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import torch
 
-from ggavatar.geometry.surface_sampling import spread_points
+from ggavatar.geometry.surface_sampling import sample_surface
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder
 
@@ -15,7 +15,7 @@ def test_points_lie_on_their_face_and_follow_area() -> None:
     """Two triangles of areas 3 : 1 in the plane z = 2."""
     vertices = torch.tensor([[0.0, 0, 2], [3, 0, 2], [0, 2, 2], [-1, 0, 2], [0, -2, 2]])
     faces = torch.tensor([[0, 1, 2], [0, 3, 4]])
-    points, face, apart = spread_points(vertices, faces, 400, torch.Generator().manual_seed(0))
+    points, face, apart = sample_surface(vertices, faces, 400, torch.Generator().manual_seed(0))
     assert abs(int((face == 0).sum()) - 300) <= 1
     assert torch.equal(points[:, 2], torch.full((400,), 2.0))
     first = points[face == 0]

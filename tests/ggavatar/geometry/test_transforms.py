@@ -21,7 +21,7 @@ from ggavatar.geometry.transforms import (
     rigid,
     rotation_6d_to_matrix,
 )
-from ggavatar.geometry.triangles import frames_in_torch, triangle_frames
+from ggavatar.geometry.triangles import triangle_frames, triangle_frames_torch
 
 COUNT = 500
 
@@ -96,7 +96,7 @@ def test_rigid_inverse() -> None:
     assert torch.allclose(transform @ invert_rigid(transform), torch.eye(4, dtype=torch.float64), atol=1e-12)
 
 
-def test_look_at_centres_the_target_upright() -> None:
+def test_look_at_centers_the_target_upright() -> None:
     eye, target = torch.tensor([0.3, 0.2, 1.5]), torch.tensor([0.0, 0.1, 0.0])
     view = look_at(eye, target, torch.tensor([0.0, 1.0, 0.0]))
     intrinsics = torch.tensor([[500.0, 0, 128], [0, 500.0, 96], [0, 0, 1]])
@@ -148,7 +148,7 @@ def test_compiled_triangle_frames_equal_the_twin(shape: str) -> None:
         faces[:, 2] = faces[:, 1]
     elif shape == "points":
         faces[:, 1], faces[:, 2] = faces[:, 0], faces[:, 0]
-    found, expected = triangle_frames(vertices, faces), frames_in_torch(vertices, faces)
+    found, expected = triangle_frames(vertices, faces), triangle_frames_torch(vertices, faces)
     assert torch.allclose(found.centers, expected.centers, atol=1e-8)
     assert torch.allclose(found.scales, expected.scales, rtol=1e-5, atol=1e-8)
     unit = found.rotations.transpose(1, 2) @ found.rotations

@@ -9,7 +9,14 @@ import torch
 
 from ggavatar.core import Camera
 from ggavatar.geometry.transforms import look_at
-from ggavatar.geometry.uv_sampling import along_curve, ever_facing, face_areas, open_rim, strip_samples, texel_samples
+from ggavatar.geometry.uv_sampling import (
+    camera_facing,
+    face_areas,
+    lower_boundary,
+    morton_order,
+    strip_samples,
+    texel_samples,
+)
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 
@@ -33,7 +40,7 @@ def test_every_texel_of_a_full_layout_has_its_own_place() -> None:
 
 def test_texels_outside_all_triangles_have_no_sample_and_overlaps_belong_to_the_first() -> None:
     small = torch.tensor([[[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]])
-    assert len(texel_samples(small, 8).face) == 10  # 4 + 3 + 2 + 1 centres
+    assert len(texel_samples(small, 8).face) == 10  # 4 + 3 + 2 + 1 centers
     twice = texel_samples(torch.cat((small.flip(1), small)), 8)
     assert len(twice.face) == 10 and not twice.face.any()
     nothing = texel_samples(torch.zeros(2, 3, 2), 8)
@@ -80,7 +87,7 @@ def test_curve_visits_the_octants_one_after_the_other() -> None:
     points = torch.rand(500, 3, generator=torch.Generator().manual_seed(0))
     points = torch.cat((points, torch.zeros(1, 3), torch.ones(1, 3)))
     octant = ((points * 1023).long() >= 512).long() @ torch.tensor([1, 2, 4])
-    visited = octant[along_curve(points)]
+    visited = octant[morton_order(points)]
     assert (visited.diff() >= 0).all() and visited[0] == 0 and visited[-1] == 7
 
 
@@ -93,20 +100,20 @@ def test_facing_is_seen_from_one_side_and_within_the_image_only() -> None:
     pose = look_at(torch.tensor([0.5, 0.5, 3.0]), torch.tensor([0.5, 0.5, 0.0]), torch.tensor([0.0, 1.0, 0.0]))
     intrinsics = torch.tensor([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
     camera = Camera(intrinsics, pose, 100, 100)
-    assert ever_facing([SQUARE], [camera], HALVES).tolist() == [True, True]
-    assert ever_facing([SQUARE], [camera], HALVES.flip(1)).tolist() == [False, False]
+    assert camera_facing([SQUARE], [camera], HALVES).tolist() == [True, True]
+    assert camera_facing([SQUARE], [camera], HALVES.flip(1)).tolist() == [False, False]
     aside = dataclasses.replace(camera, width=50)  # shows x < 0.5 only
-    assert ever_facing([SQUARE], [aside], HALVES).tolist() == [True, True]
+    assert camera_facing([SQUARE], [aside], HALVES).tolist() == [True, True]
     right = torch.stack((SQUARE, SQUARE + torch.tensor([1.0, 0, 0]))).flatten(0, 1)
     both = torch.cat((HALVES, HALVES + 4))
-    assert ever_facing([right], [aside], both).tolist() == [True, True, False, False]
-    assert ever_facing([right - torch.tensor([1.0, 0, 0]), right], [aside, aside], both).all()
-    assert not ever_facing([], [], HALVES).any()
+    assert camera_facing([right], [aside], both).tolist() == [True, True, False, False]
+    assert camera_facing([right - torch.tensor([1.0, 0, 0]), right], [aside, aside], both).all()
+    assert not camera_facing([], [], HALVES).any()
 
 
 def test_rim_is_the_lower_end_of_an_open_mesh(head: HeadModel, toy_head: HeadModel) -> None:
-    rim = open_rim(head.template, head.faces)
+    rim = lower_boundary(head.template, head.faces)
     heights = head.template[head.faces[rim]][..., 1]
     assert 20 < rim.sum() < 400
     assert heights.max() < head.template[:, 1].min() + 0.05
-    assert not open_rim(toy_head.template, toy_head.faces).any()  # a closed egg
+    assert not lower_boundary(toy_head.template, toy_head.faces).any()  # a closed egg

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from ggavatar.io.ordered_map import AHEAD, cores, ordered_map
+from ggavatar.io.ordered_map import MAX_QUEUED_RESULTS, available_cores, ordered_map
 
 
 def test_results_keep_their_order_whoever_is_first() -> None:
@@ -30,7 +30,7 @@ def test_only_a_few_items_are_taken_ahead() -> None:
     results = ordered_map(lambda number: number, endless())
     assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
     results.close()
-    assert 5 <= len(taken) <= 5 + cores() + AHEAD
+    assert 5 <= len(taken) <= 5 + available_cores() + MAX_QUEUED_RESULTS
 
 
 @pytest.mark.parametrize(("threads", "ahead"), [(1, 0), (1, 7), (3, 2)])

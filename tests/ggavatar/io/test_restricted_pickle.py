@@ -1,7 +1,4 @@
-"""The restricted unpickler. References: Python's own pickle and torch.save for what must be read.
-
-Code that must never run for the rest.
-"""
+"""The restricted unpickler: it reads what pickle and torch.save write, and runs no code from a file."""
 
 from __future__ import annotations
 
@@ -165,10 +162,7 @@ def test_message_says_what_was_refused(tmp_path):
 
 
 def test_memory_is_bounded(tmp_path):
-    """A memo index of four thousand million, a declared length of an exabyte, arrays larger than their bytes.
-
-    Folded dictionaries.
-    """
+    """A memo index of 4e9, a declared length of an exabyte, arrays larger than their bytes, nested dictionaries."""
     path = tmp_path / "bomb.pkl"
     fold = b"}" + b"".join(b"q%c" % n + b"}(K\x01h%cK\x02h%cu" % (n, n) for n in range(60)) + b"."
     for data in (

@@ -138,7 +138,7 @@ def test_damaged_cache_files_are_compiled_anew(
 
 def test_the_cache_can_be_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
-    folder = kernel_cache.cache_folder()
+    folder = kernel_cache.kernel_folder()
     assert folder == tmp_path / "ggavatar" / "kernels"
     if os.name == "posix":
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -160,7 +160,7 @@ def test_a_folder_that_others_could_have_written_is_not_trusted(
         folder.mkdir()
         folder.chmod(0o777)
     monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
-    used = kernel_cache.cache_folder()
+    used = kernel_cache.kernel_folder()
     assert tmp_path not in used.parents and kernel_cache.is_private(used)
     assert str(used) in capsys.readouterr().err
     used.rmdir()

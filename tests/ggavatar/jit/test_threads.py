@@ -64,7 +64,7 @@ def test_callers_do_not_wait_for_each_other() -> None:
     first.join()
 
 
-def test_share_gives_every_worker_a_number_and_every_piece_once() -> None:
+def test_run_workers_gives_every_worker_a_number_and_every_piece_once() -> None:
     seen: list[tuple[int, int]] = []
 
     def kernel(tickets: np.ndarray, offset: int) -> None:
@@ -74,7 +74,7 @@ def test_share_gives_every_worker_a_number_and_every_piece_once() -> None:
             seen.append((int(worker), int(piece) + offset))
 
     torch.set_num_threads(1)
-    threads.share(kernel, 10, 100)
+    threads.run_workers(kernel, 10, 100)
     assert seen == [(0, 100 + piece) for piece in range(10)]
 
 

@@ -20,7 +20,7 @@ def make_rows(count: int = 6) -> Rows:
 
 
 def pull(rows: Rows, steps: int = 3) -> None:
-    """A few steps towards 1 on every learnable column, each row with a strength of its own."""
+    """A few steps toward 1 on every learnable column, each row with a strength of its own."""
     for _ in range(steps):
         strength = 1 + rows["face"].to(torch.float32)
         loss = (strength[:, None] * (rows["means"] - 1) ** 2).sum() + (strength * (rows["weights"] - 1) ** 2).sum()
@@ -38,7 +38,7 @@ def test_unequal_columns_are_refused() -> None:
         Rows({"means": Column(torch.zeros(3, 3), 0.1)}, {"face": torch.arange(4)})
 
 
-def test_take_keeps_values_and_moments_of_the_survivors() -> None:
+def test_take_keeps_values_and_moments_of_the_remaining_rows() -> None:
     rows = make_rows()
     pull(rows)
     values = {name: column.detach().clone() for name, column in rows.columns().items()}
@@ -53,7 +53,7 @@ def test_take_keeps_values_and_moments_of_the_survivors() -> None:
         assert torch.equal(moments(rows, name), before[name][index])
 
 
-def test_survivors_go_on_as_if_nothing_happened() -> None:
+def test_remaining_rows_train_on_as_before() -> None:
     """Adam is row-wise, so training on, then taking, equals taking, then training on."""
     early, late = make_rows(), make_rows()
     index = torch.tensor([5, 1, 3])
@@ -66,7 +66,7 @@ def test_survivors_go_on_as_if_nothing_happened() -> None:
     assert torch.allclose(early["weights"], late["weights"], rtol=1e-6)
 
 
-def test_append_starts_the_newborn_at_zero_moments() -> None:
+def test_append_starts_new_rows_at_zero_moments() -> None:
     rows = make_rows()
     pull(rows)
     before = moments(rows, "means").clone()
@@ -97,7 +97,7 @@ def test_rates_belong_to_columns() -> None:
     rows.set_rate("means", 0.5)
     assert (rows.rate("means"), rows.rate("weights")) == (0.5, 0.01)
     with pytest.raises(KeyError, match="means"):
-        rows.set_rate("colours", 1.0)
+        rows.set_rate("colors", 1.0)
 
 
 def test_state_with_another_number_of_rows_loads() -> None:
@@ -111,7 +111,7 @@ def test_state_with_another_number_of_rows_loads() -> None:
 
 
 def test_optimizer_state_survives_a_change_of_rows() -> None:
-    """Save after growing, load into a fresh object, and go on bit-identically."""
+    """Save after growing, load into a new object, and continue bit-identically."""
     source, target = make_rows(), make_rows()
     pull(source)
     source.append({name: values[:3] for name, values in source.columns().items()})

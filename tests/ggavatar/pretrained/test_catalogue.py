@@ -1,7 +1,4 @@
-"""Where model files are looked for, in which order, and what is refused. Nothing is fetched.
-
-The network is replaced.
-"""
+"""Where model files are searched, in which order, and what is refused; the network is replaced by a stub."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import pytest
 
 from ggavatar.errors import InputError
 from ggavatar.pretrained import catalogue
-from ggavatar.pretrained.catalogue import TABLE, Edition, Model, resolve
+from ggavatar.pretrained.catalogue import MODELS, Model, Version, resolve
 
 RIGHT, OTHER = b"the network", b"the network of the wheel"
 
@@ -26,19 +23,19 @@ def places(tmp_path, monkeypatch):
     """Three folders and a table with one made-up model; every attempt to fetch is counted."""
     calls = []
 
-    def download(address):
-        calls.append(address)
+    def download(url):
+        calls.append(url)
         raise OSError("no network")
 
     def wheel(members):
         calls.append("wheel")
         raise ValueError("no index")
 
-    first = Edition(("net.tflite", "alias.tflite"), digest(RIGHT), "https://example.org/net.tflite")
-    second = Edition(("net_wheel.tflite",), digest(OTHER), None, "package/net.tflite")
-    monkeypatch.setitem(TABLE, "net", Model("testing", "none", (first, second)))
+    first = Version(("net.tflite", "alias.tflite"), digest(RIGHT), "https://example.org/net.tflite")
+    second = Version(("net_wheel.tflite",), digest(OTHER), None, "package/net.tflite")
+    monkeypatch.setitem(MODELS, "net", Model("testing", "none", (first, second)))
     monkeypatch.setattr(catalogue, "download", download)
-    monkeypatch.setattr(catalogue, "from_wheel", wheel)
+    monkeypatch.setattr(catalogue, "read_wheel", wheel)
     monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("GGAVATAR_MODELS", str(tmp_path / "environment"))
     for name in ("given", "environment", "cache/ggavatar/models"):
@@ -84,25 +81,25 @@ def test_address_then_wheel_then_error(places, monkeypatch):
     with pytest.raises(InputError, match=r"no network.*no index"):
         resolve("net")
     assert calls == ["https://example.org/net.tflite", "wheel"]
-    monkeypatch.setattr(catalogue, "from_wheel", lambda members: dict.fromkeys(members, OTHER))
+    monkeypatch.setattr(catalogue, "read_wheel", lambda members: dict.fromkeys(members, OTHER))
     assert resolve("net").read_bytes() == OTHER
     assert resolve("net", offline=True).name == "net_wheel.tflite"
 
 
 def test_fetched_contents_are_checked(places, monkeypatch):
     folder, _ = places
-    monkeypatch.setattr(catalogue, "download", lambda address: b"a login page")
+    monkeypatch.setattr(catalogue, "download", lambda url: b"a login page")
     with pytest.raises(InputError, match="delivered other contents"):
         resolve("net")
     assert not list((folder / "cache").rglob("*.tflite"))
-    monkeypatch.setattr(catalogue, "download", lambda address: RIGHT)
+    monkeypatch.setattr(catalogue, "download", lambda url: RIGHT)
     assert resolve("net").read_bytes() == RIGHT
 
 
 def test_only_https_is_used():
-    for address in ("http://example.org/x", "file:///etc/passwd", "ftp://example.org/x"):
+    for url in ("http://example.org/x", "file:///etc/passwd", "ftp://example.org/x"):
         with pytest.raises(ValueError, match="https"):
-            catalogue.download(address)
+            catalogue.download(url)
 
 
 def test_wheel_is_opened_not_installed(tmp_path, monkeypatch):
@@ -119,7 +116,7 @@ def test_wheel_is_opened_not_installed(tmp_path, monkeypatch):
         return Ran
 
     monkeypatch.setattr(catalogue.subprocess, "run", pip)
-    assert catalogue.from_wheel(["package/net.tflite"]) == {"package/net.tflite": OTHER}
+    assert catalogue.read_wheel(["package/net.tflite"]) == {"package/net.tflite": OTHER}
 
 
 def test_what_stands_in_is_fetched_where_the_first_choice_is_not_to_be_had(places, monkeypatch):
@@ -127,34 +124,34 @@ def test_what_stands_in_is_fetched_where_the_first_choice_is_not_to_be_had(place
     folder, calls = places
     parts = {f"package/{name}.tflite": name.encode() for name in ("a", "b")}
     for member, data in parts.items():
-        edition = Edition((member.removeprefix("package/"),), digest(data), None, member)
-        monkeypatch.setitem(TABLE, data.decode(), Model("testing", "none", (edition,)))
-    first = Edition(("bundle.task",), digest(RIGHT), "https://example.org/bundle.task")
-    monkeypatch.setitem(TABLE, "bundle", Model("testing", "none", (first,), instead=("a", "b")))
+        version = Version((member.removeprefix("package/"),), digest(data), None, member)
+        monkeypatch.setitem(MODELS, data.decode(), Model("testing", "none", (version,)))
+    first = Version(("bundle.task",), digest(RIGHT), "https://example.org/bundle.task")
+    monkeypatch.setitem(MODELS, "bundle", Model("testing", "none", (first,), substitutes=("a", "b")))
     with pytest.raises(InputError, match=r"bundle\.task.*no network.*Without it: .*a\.tflite.*no index"):
-        catalogue.resolve_all("bundle")
+        catalogue.resolve_with_substitutes("bundle")
 
     def wheel(members):
         calls.append("fetched")
         return {member: parts.get(member, b"of another state") for member in members}
 
-    monkeypatch.setattr(catalogue, "from_wheel", wheel)
-    found = catalogue.resolve_all("bundle")
+    monkeypatch.setattr(catalogue, "read_wheel", wheel)
+    found = catalogue.resolve_with_substitutes("bundle")
     assert [path.read_bytes() for path in found] == [b"a", b"b"] and calls.count("fetched") == 1
     assert sorted(path.name for path in (folder / "cache/ggavatar/models").iterdir()) == ["a.tflite", "b.tflite"]
     (folder / "given" / "bundle.task").write_bytes(RIGHT)
-    assert catalogue.resolve_all("bundle", folder / "given") == (folder / "given" / "bundle.task",)
+    assert catalogue.resolve_with_substitutes("bundle", folder / "given") == (folder / "given" / "bundle.task",)
     (folder / "given" / "bundle.task").write_bytes(b"altered")
     with pytest.raises(InputError, match="refused"):
-        catalogue.resolve_all("bundle", folder / "given")
+        catalogue.resolve_with_substitutes("bundle", folder / "given")
 
 
 def test_table_is_complete():
-    for name, model in TABLE.items():
-        assert model.licence and model.purpose and model.editions, name
-        for edition in model.editions:
-            assert len(edition.sha256) == 64 and (edition.address or edition.member)
-            assert edition.address is None or edition.address.startswith("https://storage.googleapis.com/mediapipe-")
+    for name, model in MODELS.items():
+        assert model.license and model.purpose and model.versions, name
+        for version in model.versions:
+            assert len(version.sha256) == 64 and (version.url or version.wheel_path)
+            assert version.url is None or version.url.startswith("https://storage.googleapis.com/mediapipe-")
 
 
 @pytest.mark.weights

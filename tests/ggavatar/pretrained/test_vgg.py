@@ -71,7 +71,7 @@ def test_tensors_only(model: tuple[ModelFile, bytes], tmp_path: Path) -> None:
 def test_every_known_file_is_fully_described() -> None:
     for known in (VGG16, VGG16_TO_RELU2_2):
         assert len(known.sha256) == 64 and set(known.sha256) <= set("0123456789abcdef")
-        assert known.name and known.licence and known.source and known.file.endswith(".pth")
+        assert known.name and known.license and known.source and known.file.endswith(".pth")
 
 
 @pytest.mark.weights

@@ -14,14 +14,13 @@ from torch import Tensor
 
 from ggavatar.core import Camera, Gaussians
 from ggavatar.errors import InputError
-from ggavatar.render import backends as picking
-from ggavatar.render import reference
+from ggavatar.render import backends, reference
 from ggavatar.render.backends import pick
 from ggavatar.render.cpu import rasterizer
 from tests.support.render_scenes import gradients, random_camera, random_gaussians
 
 
-def test_the_cpu_gets_the_compiled_rasteriser() -> None:
+def test_the_cpu_gets_the_compiled_rasterizer() -> None:
     assert pick("cpu") is rasterizer.rasterize
     assert pick(torch.device("cpu"), "cpu") is rasterizer.rasterize
     assert pick("cpu", "reference") is reference.rasterize
@@ -33,7 +32,7 @@ def test_the_cpu_gets_the_compiled_rasteriser() -> None:
 def test_without_its_library_the_reference_runs_and_says_so(
     device: str, remedy: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(picking, "importable", lambda module: False)
+    monkeypatch.setattr(backends, "importable", lambda module: False)
     assert pick(device) is reference.rasterize
     assert remedy.replace("\\", "") in capsys.readouterr().err
     with pytest.raises(InputError, match=remedy):
@@ -49,9 +48,9 @@ def test_impossible_choices_are_refused(device: str, backend: str) -> None:
 def test_importable_says_no_to_missing_and_broken_modules(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "broken_for_pick.py").write_text("raise ImportError('no')\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert not picking.importable("broken_for_pick")
-    assert not picking.importable("absent_for_pick")
-    assert picking.importable("json")
+    assert not backends.importable("broken_for_pick")
+    assert not backends.importable("absent_for_pick")
+    assert backends.importable("json")
 
 
 def stand_in(**arguments: Any) -> tuple[Tensor, Tensor, dict[str, Tensor]]:

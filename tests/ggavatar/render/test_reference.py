@@ -1,4 +1,4 @@
-"""The reference rasteriser against closed forms, finite differences and gsplat's own torch projection."""
+"""The reference rasterizer against closed forms, finite differences and gsplat's own torch projection."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BLACK = torch.zeros(3, dtype=DOUBLE)
 
 
 def frontal(size: int = 33, focal: float = 40.0) -> Camera:
-    """A camera at the origin that looks along +z, its principal point on the middle pixel's centre."""
+    """A camera at the origin that looks along +z, its principal point on the middle pixel's center."""
     half = size / 2
     intrinsics = torch.tensor([[focal, 0, half], [0, focal, half], [0, 0, 1]], dtype=DOUBLE)
     return Camera(intrinsics, torch.eye(4, dtype=DOUBLE), size, size)
@@ -96,7 +96,7 @@ def test_means2d_gradient_is_the_change_per_pixel_of_shift() -> None:
     moved.intrinsics[0, 2] += shift
     far = (reference.rasterize(cloud, moved, BLACK).image * weights).sum() - (drawn.image * weights).sum()
     assert drawn.means2d.grad is not None
-    # Moving the principal point moves the centre and nothing else here.
+    # Moving the principal point moves the center and nothing else here.
     assert drawn.means2d.grad[0, 0].item() == pytest.approx(far.item() / shift, rel=1e-3)
 
 

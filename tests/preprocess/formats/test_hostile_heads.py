@@ -20,7 +20,7 @@ from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
 from preprocess.tracking.face.flame_fit import EMBEDDING_FILE, read_embedding
 from tests.support.flame_files import flame_values, write_model
-from tests.support.mutations import COUNT, ODD_VALUES, survive
+from tests.support.mutations import COUNT, ODD_VALUES, refused_mutants
 from tests.support.synthetic_clip import as_tracking, ball_head, moving_record
 
 
@@ -42,9 +42,9 @@ def test_head(tmp_path: Path) -> None:
         assert torch.isfinite(head.template).all()
         head.vertices(head.neutral_drive())
 
-    assert survive(path, original, read, 1, COUNT // 2) > COUNT // 5
+    assert refused_mutants(path, original, read, 1, COUNT // 2) > COUNT // 5
     path.write_bytes(original)
-    assert survive(path, uncompressed(path), read, 2, COUNT // 2) > COUNT // 10
+    assert refused_mutants(path, uncompressed(path), read, 2, COUNT // 2) > COUNT // 10
 
 
 @pytest.mark.parametrize("kind", ["pkl", "npz"])
@@ -57,14 +57,14 @@ def test_flame(tmp_path: Path, kind: str) -> None:
         head = load_flame(path)
         head.vertices(head.neutral_drive())
 
-    assert survive(path, path.read_bytes(), read, 3) > COUNT // 10
+    assert refused_mutants(path, path.read_bytes(), read, 3) > COUNT // 10
 
 
 def test_embedding(tmp_path: Path) -> None:
     path = tmp_path / EMBEDDING_FILE
     keys = {"lmk_face_idx": np.arange(20), "lmk_b_coords": np.full((20, 3), 1 / 3), "landmark_indices": np.arange(20)}
     np.savez(path, **keys)
-    assert survive(path, path.read_bytes(), lambda: read_embedding(path, ball_head()), 4) > COUNT // 10
+    assert refused_mutants(path, path.read_bytes(), lambda: read_embedding(path, ball_head()), 4) > COUNT // 10
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_capture(folder: Path, name: str) -> None:
             capture.image(number), capture.mask(number)
 
     read()
-    assert survive(path, original, read, 5) > COUNT // 10
+    assert refused_mutants(path, original, read, 5) > COUNT // 10
 
 
 def test_capture_values(folder: Path) -> None:

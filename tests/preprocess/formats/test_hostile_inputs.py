@@ -18,7 +18,7 @@ from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npz
 from preprocess.formats.registry import importer, importer_names
 from preprocess.video.sources import open_source
-from tests.support.mutations import COUNT, survive, survive_values
+from tests.support.mutations import COUNT, check_value_mutations, refused_mutants
 from tests.support.synthetic_clip import moving_record, weak_perspective, write_video
 
 
@@ -34,7 +34,7 @@ def test_npz(tmp_path):
     path = tmp_path / "mutant.npz"
     for seed, save in enumerate((np.savez, np.savez_compressed)):
         save(path, a=np.arange(50.0), b=np.array("text"), c=np.zeros((3, 4, 5), np.float32))
-        assert survive(path, path.read_bytes(), lambda: read_npz(path), seed) > COUNT // 10
+        assert refused_mutants(path, path.read_bytes(), lambda: read_npz(path), seed) > COUNT // 10
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
@@ -43,14 +43,14 @@ def test_images(tmp_path, suffix):
     image = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
     write_png(path, image) if suffix == ".png" else write_jpeg(path, image)
     for read in (read_rgb, read_gray):
-        assert survive(path, path.read_bytes(), lambda read=read: read(path), 3) > 0
+        assert refused_mutants(path, path.read_bytes(), lambda read=read: read(path), 3) > 0
         write_png(path, image) if suffix == ".png" else write_jpeg(path, image)
 
 
 def test_json(tmp_path):
     path = tmp_path / "mutant.json"
     text = json.dumps({"schema": "x", "frames": list(range(30)), "nested": {"a": [1.5, None, "é"]}}).encode()
-    assert survive(path, text, lambda: read_json(path), 4) > COUNT // 4
+    assert refused_mutants(path, text, lambda: read_json(path), 4) > COUNT // 4
     for odd in (
         b"[" * 100_000,
         b'{"a": NaN}',
@@ -77,7 +77,7 @@ def test_videos(tmp_path, container):
         for frame in source.frames():
             assert frame.image.size <= 3 << 26
 
-    survive(path, path.read_bytes(), read, 5)
+    refused_mutants(path, path.read_bytes(), read, 5)
 
 
 @pytest.mark.parametrize("name", importer_names())
@@ -91,9 +91,9 @@ def test_importers(tmp_path, name):
     kinds = {path.suffix: path for path in files}
     for seed, path in enumerate(kinds.values()):
         original = path.read_bytes()
-        survive(path, original, lambda: importer(name).read(target), seed)
+        refused_mutants(path, original, lambda: importer(name).read(target), seed)
         if path.suffix == ".json":
-            survive_values(path, original, lambda: importer(name).read(target), seed)
+            check_value_mutations(path, original, lambda: importer(name).read(target), seed)
         path.write_bytes(original)
     assert len(importer(name).read(target).numbers) == 3
 

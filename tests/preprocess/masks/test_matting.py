@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from ggavatar.errors import InputError
-from ggavatar.io.ordered_map import AHEAD, cores
+from ggavatar.io.ordered_map import MAX_QUEUED_RESULTS, available_cores
 from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
 from preprocess.masks.matting import SelfieMatting, open_matting
 
@@ -74,7 +74,7 @@ def test_only_a_few_images_are_held():
 
     masks = SelfieMatting(Known()).masks(images())
     next(masks)
-    assert 2 <= len(held) <= 1 + cores() + AHEAD
+    assert 2 <= len(held) <= 1 + available_cores() + MAX_QUEUED_RESULTS
 
 
 def test_only_the_largest_part_stays():

@@ -1,4 +1,4 @@
-"""The tracker without the face landmarker bundle: the drawn average face, no scores, landmarks of a known motion."""
+"""The tracker without the face landmarker bundle: the average face, no scores, landmarks of a known motion."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ggavatar.landmarks.average_face import drawn_face
-from ggavatar.landmarks.networks import FaceFiles
+from ggavatar.landmarks.average_face import average_face
+from ggavatar.landmarks.networks import FaceNetworkFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.options import PrepOptions
 from preprocess.tracking.face.clip_fit import ClipLandmarks
@@ -37,20 +37,20 @@ NOISE = 0.3
 
 @pytest.fixture(scope="module")
 def generic() -> GenericHead:
-    return generic_head(drawn_face())
+    return generic_head(average_face())
 
 
-def test_drawn_face_is_a_face_in_our_axes() -> None:
-    points = drawn_face().vertices
+def test_average_face_is_a_face_in_our_axes() -> None:
+    points = average_face().vertices
     assert points.shape == (468, 3) and 0.12 < np.ptp(points[:, 0]) < 0.18
     assert points[:, 2].argmax() in (1, 4) and points[263, 0] > 0 > points[33, 0]
     assert points[10, 1] > points[1, 1] > points[13, 1] > points[152, 1]
 
 
 def test_the_edge_of_the_face_is_least_stable() -> None:
-    trust = surface_stability(drawn_face())
+    trust = surface_stability(average_face())
     assert trust[[1, 6, 168, 33, 263]].min() > 0.9 and trust[[234, 454]] == pytest.approx(0.1)
-    assert (np.diff(trust[np.argsort(np.abs(drawn_face().vertices[:, 0]))]) <= 1e-12).all()
+    assert (np.diff(trust[np.argsort(np.abs(average_face().vertices[:, 0]))]) <= 1e-12).all()
 
 
 def performed(generic: GenericHead) -> tuple[Observations, np.ndarray, np.ndarray]:
@@ -101,7 +101,7 @@ def test_the_torso_joint_replaces_the_root(generic: GenericHead) -> None:
 
 def test_poses_jaw_and_landmarks_are_recovered_without_scores(generic: GenericHead, tmp_path: Path) -> None:
     observations, rotations, jaw = performed(generic)
-    found = track_landmarks(observations, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
+    found = track_landmarks(observations, average_face(), generic, PrepOptions(Path("clip"), tmp_path))
     turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
     apart = np.degrees((turned * turned.mean().inv()).magnitude())
     assert np.median(apart) < 1.0
@@ -125,8 +125,8 @@ def test_the_wheels_networks_find_the_portraits_eyes(models_folder: Path) -> Non
     files = [models_folder / name for name in names]
     if not all(path.is_file() for path in files):
         pytest.skip(f"{', '.join(names)} not found in $GGAVATAR_MODELS")
-    tracker = LandmarkTracker(FaceFiles(*files))
+    tracker = LandmarkTracker(FaceNetworkFiles(*files))
     found = tracker.landmarks(astronaut())
-    assert found is not None and found.presence > 0.9 and not tracker.scored and not found.blendshapes.any()
+    assert found is not None and found.presence > 0.9 and not tracker.has_blendshapes and not found.blendshapes.any()
     assert np.linalg.norm(found.points[RIGHT_IRIS[0]] - [203.4, 101.2]) < 3
     assert np.linalg.norm(found.points[LEFT_IRIS[0]] - [247.0, 103.2]) < 3

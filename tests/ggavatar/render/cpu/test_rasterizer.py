@@ -1,4 +1,4 @@
-"""The compiled rasteriser against float64 autograd of the reference."""
+"""The compiled rasterizer against float64 autograd of the reference."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import torch
 from ggavatar.core import Gaussians
 from ggavatar.errors import InputError
 from ggavatar.render import reference
-from ggavatar.render.batch import rasterize_batch
 from ggavatar.render.cpu import rasterizer
 from tests.support.render_scenes import FIELDS, gradients, random_camera, random_gaussians, relative_error
 
@@ -210,13 +209,3 @@ def test_no_gradient_is_recorded_without_need() -> None:
         drawn = rasterizer.rasterize(cloud, camera, WHITE)
     assert not drawn.image.requires_grad and not drawn.means2d.requires_grad
     assert not drawn.radii.requires_grad
-
-
-def test_a_batch_equals_single_drawings() -> None:
-    cloud = random_gaussians(60, 4, torch.float32)
-    cameras = [random_camera(40, 30, torch.float32), random_camera(24, 50, torch.float32, focal=80.0)]
-    for drawn, camera in zip(rasterize_batch(rasterizer.rasterize, cloud, cameras, WHITE), cameras, strict=True):
-        single = rasterizer.rasterize(cloud, camera, WHITE)
-        assert torch.equal(drawn.image, single.image) and torch.equal(drawn.radii, single.radii)
-    with pytest.raises(InputError, match="as many sets"):
-        rasterize_batch(rasterizer.rasterize, [cloud], cameras, WHITE)

@@ -1,4 +1,4 @@
-"""The compiled rasteriser gives the same bits whatever the threads do."""
+"""The compiled rasterizer gives the same bits whatever the threads do."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_any_number_of_threads_gives_the_same_bits(threads: int) -> None:
         assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
-def test_two_rasterisers_in_two_threads() -> None:
+def test_two_rasterizers_in_two_threads() -> None:
     torch.set_num_threads(2)
     expected = [everything(seed) for seed in range(2)]
     found: dict[int, list[dict[str, Tensor]]] = {0: [], 1: []}

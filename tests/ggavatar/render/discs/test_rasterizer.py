@@ -39,7 +39,7 @@ def random_discs(count: int, radius: float, dtype: torch.dtype, seed: int = 0, s
 
 
 def straight_camera(size: int, dtype: torch.dtype = torch.float32) -> Camera:
-    """One metre in front of the origin lies one pixel per centimetre."""
+    """One meter in front of the origin lies one pixel per centimeter."""
     intrinsics = torch.tensor([[100.0, 0, size / 2], [0, 100.0, size / 2], [0, 0, 1]], dtype=dtype)
     return Camera(intrinsics, torch.eye(4, dtype=dtype), size, size)
 

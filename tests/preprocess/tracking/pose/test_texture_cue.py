@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ggavatar.landmarks.average_face import drawn_face
+from ggavatar.landmarks.average_face import average_face
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.geometry.landmark_topology import MESH_POINTS, lids, rigidity, surface_stability
 from preprocess.tracking.geometry.rigid import LandmarkObservations, PinholeIntrinsics, RigidPoses, project_to_pixels
@@ -31,7 +31,7 @@ Measured in docs/experiments/2026-11-29-skin-texture-pose-cue.md.
 
 @pytest.fixture(scope="module")
 def face() -> CanonicalFace:
-    return drawn_face()
+    return average_face()
 
 
 def posed(pitch: np.ndarray, yaw: np.ndarray | float = 0.0) -> RigidPoses:
