@@ -106,8 +106,8 @@ def _export_run(arguments: Arguments) -> list[str]:
         )
     import torch
 
+    from ggavatar.formats.drives import file_drives, frame_drives, neutral_drive
     from ggavatar.formats.export import BOUND_FORMAT, POINT_CLOUD_FILE, export_bound, export_splats
-    from ggavatar.formats.poses import file_drives, frame_drives, neutral_drive
     from ggavatar.head.files import load_head
     from ggavatar.render.backends import resolve_device
     from ggavatar.training.run_folder import open_run

@@ -11,10 +11,10 @@ import torch
 
 from ggavatar.core import Drive
 from ggavatar.errors import InputError
+from ggavatar.formats.drives import NamedDrive
 from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, write_flame_parameters
 from ggavatar.formats.gaussian_ply import full_degree, write_gaussian_ply
 from ggavatar.formats.output_folder import atomic_folder, check_output_file
-from ggavatar.formats.poses import NamedDrive
 from ggavatar.formats.splat import write_splat
 from ggavatar.formats.spz import write_spz
 from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored

@@ -14,7 +14,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
 from preprocess.doctor import quality
-from preprocess.doctor.convention_test import (
+from preprocess.doctor.convention_ranking import (
     IOU_TIE_MARGIN,
     Ranking,
     explained_by_frame_offset,

@@ -15,11 +15,11 @@ from ggavatar.head.procedural.model import procedural_names
 from ggavatar.jit.threads import run
 from preprocess.formats.importers.metrical_tracker import frame_dictionary
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
-from preprocess.synthetic.animation.motion import FPS, Performance, perform
+from preprocess.synthetic.animation.performance import FPS, Performance, perform
 from preprocess.synthetic.output_folder import DemoFolder, write_manifest
 from preprocess.synthetic.rendering import room
 from preprocess.synthetic.studio import Studio
-from preprocess.synthetic.tracker_files import add_tracker_errors
+from preprocess.synthetic.tracker_errors import add_tracker_errors
 
 _BATCH = 8
 

@@ -9,8 +9,8 @@ from numpy import ndarray
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from preprocess.synthetic.animation.hair_motion import lagging_poses, swing_hair
-from preprocess.synthetic.animation.motion import Performance
-from preprocess.synthetic.animation.performance import PosedGeometry, pose_character, sticky_lips
+from preprocess.synthetic.animation.performance import Performance
+from preprocess.synthetic.animation.posing import PosedGeometry, pose_character, sticky_lips
 from preprocess.synthetic.person.character import LENS, MOUTH, Character, build_character
 from preprocess.synthetic.person.texture_space import to_linear, to_srgb
 from preprocess.synthetic.person.wrinkles import add_folds

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
-from preprocess.synthetic.animation.motion import FPS
+from preprocess.synthetic.animation.performance import FPS
 
 BANDS = (1.5, 2.3, 3.4)
 """Natural frequencies of the springs, Hz."""

@@ -14,9 +14,9 @@ from ggavatar.head.procedural.model import procedural_head, procedural_names
 from ggavatar.head.procedural.parts import Part
 from preprocess.synthetic.person.accessories import beanie, glasses_frame, lenses
 from preprocess.synthetic.person.description import PEOPLE, Person
-from preprocess.synthetic.person.fuzz import ShortHair, beard, brows
 from preprocess.synthetic.person.hair import ScalpHair, grow_scalp_hair, sample_surface, scalp_density
 from preprocess.synthetic.person.lashes import lashes
+from preprocess.synthetic.person.short_hair import ShortHair, beard, brows
 from preprocess.synthetic.person.skin_paint import paint_head, paint_relief
 from preprocess.synthetic.person.subdivision import Subdivision, subdivide
 from preprocess.synthetic.person.texture_space import Texels, locate_texels, noise, to_linear

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from preprocess.synthetic.person.description import Person
-from preprocess.synthetic.person.fuzz import NODES, ShortHair, attach, hair_colors
+from preprocess.synthetic.person.short_hair import NODES, ShortHair, attach, hair_colors
 
 _UPPER, _LOWER = 6, 3
 

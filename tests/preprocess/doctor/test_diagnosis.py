@@ -18,7 +18,7 @@ from ggavatar.head.files import load_head
 from ggavatar.io.images import image_header, write_png
 from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main as prep
-from preprocess.doctor.convention_test import explained_by_frame_offset
+from preprocess.doctor.convention_ranking import explained_by_frame_offset
 from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
 from preprocess.doctor.diagnosis import examine
 from preprocess.doctor.letterbox import black_bars, crop_flags

@@ -7,7 +7,7 @@ import pytest
 
 from ggavatar.head.procedural.model import procedural_head
 from preprocess.synthetic.animation.hair_motion import lagging_poses, swing_hair
-from preprocess.synthetic.animation.motion import FPS
+from preprocess.synthetic.animation.performance import FPS
 from preprocess.synthetic.person.description import PEOPLE
 from preprocess.synthetic.person.subdivision import subdivide
 from preprocess.synthetic.person.texture_space import to_linear, to_srgb
