@@ -8,6 +8,7 @@ DEMO_FRAMES ?= 600
 DEMO_SIZE ?= 256
 DEMO_STEPS ?= 4000
 DEMO_EVAL ?=
+TEST_FLAGS ?=
 TABLE ?= table
 TABLE_IDS ?= 1 2 3 4 5
 TABLE_FRAMES ?= 600
@@ -38,13 +39,16 @@ $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 		--head-model $(TABLE)/subjects/$*/head.npz --subject subject-$* --size $(TABLE_SIZE) --resume -o $(TABLE)/captures/subject-$*
 
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto $(TEST_FLAGS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/deptry .
+	$(BIN)/vulture
+	$(BIN)/codespell
 
 format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .
