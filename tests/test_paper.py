@@ -78,7 +78,7 @@ def stirred(avatar: GGAvatar) -> GGAvatar:
 
 
 def test_eq_1_2_3_splatting_of_two_gaussians_by_hand() -> None:
-    """G(x) = exp(−½ dᵀ Σ⁻¹ d), Σ = R S Sᵀ Rᵀ, C = Σ c α Π (1 − α), at the pixel where both are centred."""
+    """G(x) = exp(−½ dᵀ Σ⁻¹ d), Σ = R S Sᵀ Rᵀ, C = Σ c α Π (1 − α), at the pixel where both are centered."""
     size, depth = 25, 1.0
     eye = Camera(torch.tensor([[40.0, 0, 12.5], [0, 40.0, 12.5], [0, 0, 1]]), torch.eye(4), size, size)
     means = torch.tensor([[0.0, 0, depth], [0.0, 0, 2 * depth]])

@@ -1,4 +1,4 @@
-"""The colour behind the person."""
+"""The color behind the person."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 
 
 def parse_background(text: str) -> tuple[float, float, float]:
-    """A colour from `white`, `black` or `R,G,B` in [0, 1]."""
+    """A color from `white`, `black` or `R,G,B` in [0, 1]."""
     if text in BACKGROUNDS:
         return BACKGROUNDS[text]
     try:

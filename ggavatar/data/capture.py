@@ -38,7 +38,7 @@ class Tracking:
 
     Attributes:
         intrinsics: px of the capture's images.
-        world_to_camera: Rigid, metres, OpenCV axes.
+        world_to_camera: Rigid, meters, OpenCV axes.
         expression: Coefficients of the head's expression basis.
         joint_rotations: Axis-angle in the order of the head's joints, rad.
         eyelids: Closing of the left and right lid, 0 open.

@@ -92,7 +92,7 @@ class Frames:
                     future.cancel()
 
     def _pixels(self, number: int, width: int, height: int, keep: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Composited colours [H, W, 3] and coverage [H, W], 8-bit."""
+        """Composited colors [H, W, 3] and coverage [H, W], 8-bit."""
         key = (number, width, height)
         found = self._kept.get(key)
         if found is None:

@@ -19,7 +19,7 @@ class Scene:
         head: The head model, on the device of the training.
         drives: What moves the head, one a training frame.
         cameras: Where each training frame is seen from, at the capture's resolution.
-        background: Colour behind the avatar, sRGB in [0, 1].
+        background: Color behind the avatar, sRGB in [0, 1].
         steps: Length of the training; methods scale their schedules to it.
         seed: From which every random number derives.
         max_gaussians: Largest number of Gaussians allowed.

@@ -1,1 +1,1 @@
-"""Gaussians on a mesh: first rows, binding, offsets, density control, colours."""
+"""Gaussians on a mesh: first rows, binding, offsets, density control, colors."""

@@ -37,7 +37,7 @@ def bind(
         local_quats: Rotations relative to the triangle, wxyz, any length but zero.
         local_log_scales: Logarithms of the standard deviations in units of the triangle's size.
         face_index: The triangle of every Gaussian.
-        frames: Centres (m), rotations and sizes (m) of the triangles.
+        frames: Centers (m), rotations and sizes (m) of the triangles.
 
     Returns:
         World means (m), unit quaternions and standard deviations (m).

@@ -25,11 +25,11 @@ Floats = Float32[ndarray, "..."]
 Indices = Int64[ndarray, " N"]
 
 ROTATION, CENTER, QUAT, RECORD = 0, 9, 12, 16
-"""Places in a triangle's record: size times rotation, row by row; centre; unit quaternion; and the record's length."""
+"""Places in a triangle's record: size times rotation, row by row; center; unit quaternion; and the record's length."""
 
 
 class Faces(NamedTuple):
-    """Triangles: centres [F, 3], rotations [F, 3, 3], sizes [F] and unit quaternions [F, 4]."""
+    """Triangles: centers [F, 3], rotations [F, 3, 3], sizes [F] and unit quaternions [F, 4]."""
 
     centers: Floats
     rotations: Floats
@@ -167,7 +167,7 @@ def add_to_faces(local, index, faces, upstream, world_scales, gradient):
 
 
 def records_of(frames: tuple[Floats, Floats, Floats], quats: Floats | None) -> Floats:
-    """The records [F, 16] of triangles, given centres, rotations and sizes; their own quaternions if given none."""
+    """The records [F, 16] of triangles, given centers, rotations and sizes; their own quaternions if given none."""
     records = np.empty((len(frames[0]), RECORD), np.float32)
     fill_records(*frames, records)
     if quats is not None:

@@ -33,7 +33,7 @@ def statistics(count: int, device: torch.device | str = "cpu") -> dict[str, Tens
 
 @torch.no_grad()
 def accumulate(rows: Rows, rendering: Rendering) -> None:
-    """Add the gradients of the projected centres to the statistics, per unit of an image 2 wide and 2 high (NDC)."""
+    """Add the gradients of the projected centers to the statistics, per unit of an image 2 wide and 2 high (NDC)."""
     gradient = rendering.means2d.grad
     if gradient is None:
         return

@@ -1,4 +1,4 @@
-"""First colours of Gaussians, read off training frames by the weight with which each contributes to each pixel."""
+"""First colors of Gaussians, read off training frames by the weight with which each contributes to each pixel."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from torch import Tensor
 from ggavatar.core import Drive, Frame, Gaussians, Rasterizer
 
 SH_C0 = 0.28209479177387814
-"""The constant spherical harmonic: colour = 0.5 + SH_C0 · coefficient."""
+"""The constant spherical harmonic: color = 0.5 + SH_C0 · coefficient."""
 
 
 def splatted_colors(
     pose: Callable[[Drive], Gaussians], frames: Sequence[Frame], rasterize: Rasterizer, least_weight: float = 0.1
 ) -> Float[Tensor, "N 3"]:
-    """The mean colour of the person's pixels a Gaussian is blended into, weighted by its share of them.
+    """The mean color of the person's pixels a Gaussian is blended into, weighted by its share of them.
 
-    The weights are the rasteriser's own derivatives with respect to colour, so any backend will do. Pixels count as far
-    as they are foreground: in the background's colour a Gaussian beside the person costs nothing, stays, and hides the
-    person in other poses (docs/experiments/2026-11-29-initial-colours-from-the-person.md).
+    The weights are the rasterizer's own derivatives with respect to color, so any backend will do. Pixels count as far
+    as they are foreground: in the background's color a Gaussian beside the person costs nothing, stays, and hides the
+    person in other poses (docs/experiments/2026-11-29-initial-colors-from-the-person.md).
 
     Args:
-        pose: Gaussians of a drive; their colours are not used.
+        pose: Gaussians of a drive; their colors are not used.
         frames: What they are compared with.
         rasterize: The renderer.
         least_weight: Gaussians with less weight in total (hidden ones, and those never before the person) get the mean
-            colour of the others.
+            color of the others.
 
     Returns:
         sRGB in [0, 1].

@@ -29,13 +29,13 @@ class BoundRates:
 
 
 def bound_rows(head: HeadModel, rates: BoundRates, sh_degree: int, generator: torch.Generator) -> Rows:
-    """One Gaussian at the centroid of every triangle, as large as it, of opacity 0.1 and grey.
+    """One Gaussian at the centroid of every triangle, as large as it, of opacity 0.1 and gray.
 
     Args:
         head: Its triangles; the rows are on its device.
         rates: Learning rates.
         sh_degree: Highest degree of the spherical harmonics; above 0 there is a column `sh_rest`.
-        generator: Of the grey's last digits, on the CPU.
+        generator: Of the gray's last digits, on the CPU.
     """
     if not 0 <= sh_degree <= 3:
         raise InputError(f"sh_degree: expected 0 to 3, found {sh_degree}")

@@ -14,14 +14,14 @@ from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 
 COLOUR = 10
-"""Column of the first colour row, if there are any."""
+"""Column of the first color row, if there are any."""
 
 
 class Offsets(NamedTuple):
     """The product W·f of every Gaussian, without units; several conditions add a leading axis.
 
     Attributes:
-        rows: Position 3, rotation 4 and log-scale 3; with colour 3 more.
+        rows: Position 3, rotation 4 and log-scale 3; with color 3 more.
     """
 
     rows: Float[Tensor, "*B N R"]
@@ -43,7 +43,7 @@ class Offsets(NamedTuple):
 
     @property
     def colors(self) -> Float[Tensor, "*B N 3"] | None:
-        """Colour offsets, if the basis has rows for them."""
+        """Color offsets, if the basis has rows for them."""
         return self.rows[..., COLOUR:] if self.rows.shape[-1] > COLOUR else None
 
 
@@ -70,9 +70,9 @@ def refine(
         quats: Unit quaternions carried by the mesh, wxyz.
         scales: Standard deviations carried by the mesh, m.
         offsets: W·f of one condition.
-        unit: Metres per unit of the position offset (docs/paper.md, A6).
+        unit: Meters per unit of the position offset (docs/paper.md, A6).
         rotation: "product" turns by the unit quaternion of (1, 0, 0, 0) + Δr in world axes, whatever the sign of
-            `quats` (A4); "add" adds Δr to the quaternion and normalises, as TalkingGaussian does.
+            `quats` (A4); "add" adds Δr to the quaternion and normalizes, as TalkingGaussian does.
 
     Returns:
         Means + unit·Δμ, unit quaternions, and scales · exp(Δs) (A5).

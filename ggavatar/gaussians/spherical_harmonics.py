@@ -1,4 +1,4 @@
-"""The colour columns of rows, `sh` and `sh_rest`: first colours off the frames, and the harmonics in use."""
+"""The color columns of rows, `sh` and `sh_rest`: first colors off the frames, and the harmonics in use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ggavatar.optim.parameters import Rows
 
 
 def color_from_frames(rows: Rows, pose: Callable[[Drive], Gaussians], scene: Scene) -> None:
-    """Give the rows the colours that a few training frames show; an opened avatar, whose scene has none, keeps its own.
+    """Give the rows the colors that a few training frames show; an opened avatar, whose scene has none, keeps its own.
 
     Args:
         rows: Their column `sh` is overwritten.

@@ -1,6 +1,6 @@
 """FLAME model files (the official pickles, or an npz with the same keys) as a `HeadModel` with an identity folded in.
 
-FLAME's licence does not allow redistribution: the file is the user's. Layout: Li et al. 2017 and smplx; no chumpy is
+FLAME's license does not allow redistribution: the file is the user's. Layout: Li et al. 2017 and smplx; no chumpy is
 needed.
 """
 

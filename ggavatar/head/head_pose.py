@@ -38,7 +38,7 @@ class HeadPoses:
 
     @staticmethod
     def of(head: HeadModel, drives: Sequence[Drive]) -> HeadPoses:
-        """Summarise the drives of the training frames; without any, the head is at rest in front of the camera."""
+        """Summarize the drives of the training frames; without any, the head is at rest in front of the camera."""
         drives = drives or [head.neutral_drive()]
         poses = torch.stack([drive.head_to_camera for drive in drives])
         left, _, right = torch.linalg.svd(poses[:, :3, :3].mean(0))

@@ -50,7 +50,7 @@ class FaceSkin:
     def motion(self, head: HeadModel, drive: Drive) -> FaceMotion:
         """Motion of every face: pose correctives, then the blended joints, then the translation of the drive.
 
-        The rotation is the normalised blend of the joints' quaternions.
+        The rotation is the normalized blend of the joints' quaternions.
         """
         turns, shifts = head.joint_transforms(drive)
         linear = (self.weights @ turns.flatten(1)).unflatten(1, (3, 3))

@@ -1,1 +1,1 @@
-"""What training minimises: image terms, regularisers, perceptual loss; each kernel beside its torch twin."""
+"""What training minimizes: image terms, regularizers, perceptual loss; each kernel beside its torch twin."""

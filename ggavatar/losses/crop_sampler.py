@@ -10,14 +10,14 @@ import torch
 
 @dataclass(frozen=True)
 class CropSampler:
-    """Where the cheap mode looks: a square window in some steps, often centred on given boxes."""
+    """Where the cheap mode looks: a square window in some steps, often centered on given boxes."""
 
     side: int = 128
     """Edge of the window, px; clipped to the image."""
     probability: float = 0.2
     """Chance that a step is looked at."""
     focused: float = 0.5
-    """Chance that a window is centred on one of the boxes (mouth, eyes), if there are any."""
+    """Chance that a window is centered on one of the boxes (mouth, eyes), if there are any."""
 
     def draw(
         self,

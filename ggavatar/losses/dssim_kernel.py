@@ -2,7 +2,7 @@
 
 The twin is `dssim.image_terms_in_torch`.
 
-An image is a matrix of H rows and W·3 floats; a neighbour across is 3 floats away. A stripe's rows run through two
+An image is a matrix of H rows and W·3 floats; a neighbor across is 3 floats away. A stripe's rows run through two
 rings of 11 lines: blurred inputs, which give a line of similarities and their derivatives, and blurred derivatives,
 which give a line of the gradient. All of it stays in the second-level cache; only the gradient is written.
 """
@@ -28,7 +28,7 @@ STRIPE = 128
 
 
 def window() -> Float32[ndarray, " K"]:
-    """The normalised one-dimensional Gaussian window."""
+    """The normalized one-dimensional Gaussian window."""
     weights = np.array([exp(-((index - REACH) ** 2) / (2 * SIGMA**2)) for index in range(WINDOW)])
     return (weights / weights.sum()).astype(np.float32)
 
@@ -50,7 +50,7 @@ def _blur_across(padded, out, weights):
 
 @inlined
 def _blur_down(ring, out, weights, first):
-    """Weighted sum of the ring's lines, the window beginning at line `first`; in halves, or it would not vectorise."""
+    """Weighted sum of the ring's lines, the window beginning at line `first`; in halves, or it would not vectorize."""
     w = np.empty(WINDOW, np.float32)
     for k in range(WINDOW):
         w[(first + k) % WINDOW] = weights[k]

@@ -46,7 +46,7 @@ def position_regulariser(
     Args:
         local_means: Positions in units of the triangle's size.
         visible: Gaussians that touched the image.
-        threshold: Distance from the triangle's centre that costs nothing, in units of its size.
+        threshold: Distance from the triangle's center that costs nothing, in units of its size.
 
     References:
         GGAvatar Eq. 14 read as in GaussianAvatars (docs/paper.md, A15, A16): on the norm, of local positions.
@@ -134,7 +134,7 @@ class _CompiledL1(torch.autograd.Function):
 
 
 class _CompiledRegulariser(torch.autograd.Function):
-    """The compiled regularisers; `kind` is the name of a constant of `ggavatar.losses.terms_kernel`."""
+    """The compiled regularizers; `kind` is the name of a constant of `ggavatar.losses.terms_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, visible: Tensor, threshold: float, kind: str) -> Tensor:

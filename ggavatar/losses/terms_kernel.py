@@ -1,6 +1,6 @@
-"""L1, and the regularisers of rows sixteen at a time (compiled; twins in `losses`).
+"""L1, and the regularizers of rows sixteen at a time (compiled; twins in `losses`).
 
-The regularisers take a tenth of a millisecond, which is less than waking a second thread would.
+The regularizers take a tenth of a millisecond, which is less than waking a second thread would.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class PerceptualTerm:
             image: The rendering, sRGB.
             target: The frame, sRGB.
             step: Decides the crop.
-            boxes: Left, top, right and bottom of what crops are often centred on, px.
+            boxes: Left, top, right and bottom of what crops are often centered on, px.
         """
         weight, window = self.weight, (slice(None), slice(None))
         if self.crops is not None:

@@ -90,7 +90,7 @@ class Config:
     first_offsets: Literal["random", "none"] = "random"
     """Offsets to begin with: those of a random network (code), or none."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (code), or read off a few training frames."""
+    """Colors to begin with: grey (code), or read off a few training frames."""
 
     network_rate: float = 1e-4
     """Learning rate of the network (code)."""
@@ -264,7 +264,7 @@ def moved(
     log_scales: Float[Tensor, "N 3"],
     offsets: Float[Tensor, "N 10"],
 ) -> Moved:
-    """Gaussians moved by the network's outputs after tanh: metres, a quaternion, factors of the logarithm of scales.
+    """Gaussians moved by the network's outputs after tanh: meters, a quaternion, factors of the logarithm of scales.
 
     The real part of the quaternion is exp of its output and therefore positive; the factors are exp of theirs, from
     1/e to e. They multiply the *logarithm* of the scale (code), so that their effect depends on the unit of length.
@@ -282,7 +282,7 @@ def encoded(points: Float[Tensor, "N 3"], octaves: int) -> Float[Tensor, "N D"]:
 
 @torch.no_grad()
 def spacing(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
-    """Root of the mean squared distance to the three nearest neighbours, m; 0.3 mm at least (3DGS)."""
+    """Root of the mean squared distance to the three nearest neighbors, m; 0.3 mm at least (3DGS)."""
     found, _ = KDTree(points.cpu().numpy()).query(points.cpu().numpy(), k=4)
     distances = torch.as_tensor(np.asarray(found)[:, 1:]).to(points)
     return distances.square().mean(-1).clamp_min(1e-7).sqrt()

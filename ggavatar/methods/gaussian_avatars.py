@@ -6,7 +6,7 @@ lacks "w/o Geometry Morph Adjuster".
 
     1. One Gaussian a triangle; position, rotation and scale are local and follow the triangle of every frame (Sec.
     3.2). 2. Density control as in 3D Gaussian Splatting; children keep their triangle, no triangle loses its last
-    Gaussian (Sec. 3.3). 3. Two regularisers keep a Gaussian at its triangle; the head's expression, joints and
+    Gaussian (Sec. 3.3). 3. Two regularizers keep a Gaussian at its triangle; the head's expression, joints and
     translation are fine-tuned frame by frame, for training frames only (Sec. 3.4).
 """
 
@@ -73,7 +73,7 @@ class Config:
     sh_iterations: int = 1_000
     """Iterations between two rises of the degree in use (3DGS)."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (GaussianAvatars), or read off a few training frames."""
+    """Colors to begin with: grey (GaussianAvatars), or read off a few training frames."""
 
     density_start: int = 10_000
     """Density control begins after this iteration (GaussianAvatars)."""
@@ -82,7 +82,7 @@ class Config:
     density_interval: int = 2_000
     """Iterations between two rounds (GaussianAvatars); short trainings keep 20 steps, 30 rounds, at least 10 steps."""
     density_gradient: float = 2e-4
-    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (3DGS)."""
+    """Mean gradient norm of projected centers from which a Gaussian grows, normalized device coordinates (3DGS)."""
     density_ramp: bool = False
     """Whether room for new Gaussians opens evenly over the rounds (short trainings) or at once (3DGS)."""
     reset_iterations: int = 60_000
@@ -95,11 +95,11 @@ class Config:
     dssim_share: float = 0.2
     """Share of D-SSIM in the image loss (3DGS)."""
     position_weight: float = 0.01
-    """Weight of the position regulariser (Sec. 3.4)."""
+    """Weight of the position regularizer (Sec. 3.4)."""
     position_threshold: float = 1.0
-    """Distance from the triangle's centre that costs nothing, triangle units (Sec. 3.4)."""
+    """Distance from the triangle's center that costs nothing, triangle units (Sec. 3.4)."""
     scale_weight: float = 1.0
-    """Weight of the scale regulariser (Sec. 3.4)."""
+    """Weight of the scale regularizer (Sec. 3.4)."""
     scale_threshold: float = 0.6
     """Standard deviation that costs nothing, triangle units (Sec. 3.4)."""
 
@@ -204,7 +204,7 @@ class GaussianAvatars(nn.Module):
         return Gaussians(means, quats, scales, rows["opacity_logits"].sigmoid(), sh, self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """The image loss and the two regularisers (Sec. 3.4); the perceptual loss where it was asked for."""
+        """The image loss and the two regularizers (Sec. 3.4); the perceptual loss where it was asked for."""
         config, rows = self.config, self.rows
         visible = rendering.radii > 0
         terms = {

@@ -70,7 +70,7 @@ class Config:
     mouth_gaussians: float = 0.1
     """Gaussians in the mouth for upper and for lower teeth, each as a share of `first_gaussians` (public code)."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (public code), or read off a few training frames."""
+    """Colors to begin with: grey (public code), or read off a few training frames."""
 
     position_rate: float = 1.6e-4
     """Learning rate of neutral positions at the start, m (public code)."""
@@ -112,7 +112,7 @@ class Config:
     density_interval: int = 100
     """Iterations between two rounds (public code); short trainings keep 20 steps, 30 rounds or at least 10 steps."""
     density_gradient: float = 1e-3
-    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (code)."""
+    """Mean gradient norm of projected centers from which a Gaussian grows, normalized device coordinates (code)."""
     density_ramp: bool = False
     """Whether room for new Gaussians opens evenly over the rounds (short trainings) or at once (3DGS)."""
     prune_iterations: int = 3_000

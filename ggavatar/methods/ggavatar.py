@@ -80,7 +80,7 @@ class Config:
     sh_iterations: int = 1_000
     """Iterations between two rises of the degree in use (3DGS)."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (GaussianAvatars), or read off a few training frames."""
+    """Colors to begin with: grey (GaussianAvatars), or read off a few training frames."""
 
     density_start: int = 500
     """Density control begins after this iteration (Sec. 3.5)."""
@@ -89,7 +89,7 @@ class Config:
     density_interval: int = 100
     """Iterations between two rounds (Section 3.5); short trainings keep 20 steps, 30 rounds or at least 10 steps."""
     density_gradient: float = 2e-4
-    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (3DGS)."""
+    """Mean gradient norm of projected centers from which a Gaussian grows, normalized device coordinates (3DGS)."""
     density_ramp: bool = False
     """Whether room for new Gaussians opens evenly over the rounds (ours, for short trainings) or at once (3DGS)."""
     reset_iterations: int = 3_000
@@ -112,9 +112,9 @@ class Config:
     octaves: int = 10
     """Octaves of the positional encoding in w/o tri-plane (NeRF)."""
     offset_unit: float = 0.01
-    """Metres per unit of Δμ (A6)."""
+    """Meters per unit of Δμ (A6)."""
     color_unit: float = 0.0
-    """Colour, as sRGB, per unit of three further rows of the basis; 0 is the paper, whose basis has none."""
+    """Color, as sRGB, per unit of three further rows of the basis; 0 is the paper, whose basis has none."""
     network_rate: float = 1e-4
     """Learning rate of F_H and F_ψθ (Sec. 3.5)."""
     field_rate: float = 5e-3
@@ -131,15 +131,15 @@ class Config:
     crop_probability: float = 0.2
     """Share of the steps with a crop."""
     position_weight: float = 0.01
-    """λ3, weight of the position regulariser (Eq. 16)."""
+    """λ3, weight of the position regularizer (Eq. 16)."""
     position_threshold: float = 1.0
     """ε_position, triangle units (Eq. 14)."""
     scale_weight: float = 1.0
-    """λ4, weight of the scale regulariser (Eq. 16)."""
+    """λ4, weight of the scale regularizer (Eq. 16)."""
     scale_threshold: float = 0.6
     """ε_scaling, triangle units (Eq. 15)."""
     alpha_weight: float = 0.0
-    """Weight of the mean absolute difference between coverage and mask; 0 is the paper, which compares colours only."""
+    """Weight of the mean absolute difference between coverage and mask; 0 is the paper, which compares colors only."""
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -296,7 +296,7 @@ class GGAvatar(nn.Module):
         return self._placed(self.neutral_frames).means
 
     def _colors(self, offsets: Offsets | None) -> Float[Tensor, "N K 3"]:
-        """Spherical harmonics; with colour rows, the constant one moves with the condition."""
+        """Spherical harmonics; with color rows, the constant one moves with the condition."""
         if offsets is None or offsets.colors is None:
             return harmonics(self.rows)
         return harmonics(self.rows, self.rows["sh"] + (self.config.color_unit / SH_C0) * offsets.colors[:, None])

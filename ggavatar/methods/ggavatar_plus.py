@@ -1,13 +1,13 @@
-"""GGAvatar plus: the paper's avatar with a still torso, a bounded head pose as condition, and colours that follow both.
+"""GGAvatar plus: the paper's avatar with a still torso, a bounded head pose as condition, and colors that follow both.
 
 Ours. It holds a `ggavatar.GGAvatar` and states only what differs; what each difference is worth is measured in
 docs/experiments/2026-11-28-ggavatar-plus-ablation.md.
 
     1. The head pose acts on the neck too: what does not turn with the head need not be explained by offsets.
     2. The latent network sees the head pose, held within its training range.
-    3. The basis has three more rows, for colour: wrinkles, shading, gaze (as in RGBAvatar and GPAvatar).
+    3. The basis has three more rows, for color: wrinkles, shading, gaze (as in RGBAvatar and GPAvatar).
     4. Mouth and eyes weigh more in the image loss (as in FlashAvatar), and coverage is compared with the mask.
-    5. First colours come from the frames, the budget of rows opens evenly, and rows learn faster for longer.
+    5. First colors come from the frames, the budget of rows opens evenly, and rows learn faster for longer.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Config:
     pose_condition: bool = True
     """Whether the latent network sees the head pose."""
     color_unit: float = 0.1
-    """Colour, as sRGB, per unit of a colour row; 0 leaves colours alone."""
+    """Color, as sRGB, per unit of a color row; 0 leaves colors alone."""
     latent: int = 32
     """Length of the latent vector."""
     network_rate: float = 1e-3

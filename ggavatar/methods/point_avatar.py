@@ -1,6 +1,6 @@
 """PointAvatar (Zheng et al. 2023): canonical points with learned motion, albedo and normals, drawn as discs.
 
-Lengths inside are quarter metres, as in the authors' code, whose FLAME is four times as large; `UNIT` converts. Where
+Lengths inside are quarter meters, as in the authors' code, whose FLAME is four times as large; `UNIT` converts. Where
 a tracker keeps the head still and turns the camera, their still joint is the torso held before the camera and normals
 are shaded as the camera sees them: the same up to a rigid motion of everything.
 """
@@ -41,7 +41,7 @@ from ggavatar.render.discs.rasterizer import rasterizer as disc_rasterizer
 from ggavatar.render.discs.values import DiscRendering, Discs, similar_scale
 
 UNIT = 4.0
-"""Units of length of points and networks per metre."""
+"""Units of length of points and networks per meter."""
 
 PERCEPTUAL_SIZE = 224
 """Side that images are resized to for VGG, px."""
@@ -57,13 +57,13 @@ class Config:
     points: int = 400
     """Points at first (authors' code)."""
     sphere: float = 0.5
-    """Radius of the sphere they begin on, quarter metres (authors' code)."""
+    """Radius of the sphere they begin on, quarter meters (authors' code)."""
     begin: Literal["sphere", "head"] = "sphere"
     """Where they begin: on the sphere (authors' code), or on the head model in the canonical pose (ours)."""
     fitting_steps: int = 0
     """Steps in which the networks first learn the head model's distance and motion, without pictures; 0 (authors)."""
     radius_factor: float = 0.3
-    """Radius of the discs of 100 points, normalised device coordinates (authors' code)."""
+    """Radius of the discs of 100 points, normalized device coordinates (authors' code)."""
     max_points: int = 240_000
     """No doubling may lead to more points (GGAvatar, Sec. 4.1); the training's own limit holds too."""
     epochs: int = 62
@@ -73,14 +73,14 @@ class Config:
     pruning_frames: int = 1
     """Fewest frames between two prunings, which otherwise come every epoch; ours, since short epochs see few poses."""
     pruning_radius: float = 0.006
-    """No pruning once discs are smaller, normalised device coordinates (authors' code)."""
+    """No pruning once discs are smaller, normalized device coordinates (authors' code)."""
 
     rate: float = 1e-4
     """Learning rate of points and networks (authors' code)."""
     rate_left: float = 1.0
     """Share of the rate that is left in the last step; the authors' decay never acts, as they rebuild Adam."""
     tracking_rate: float = 5e-4
-    """Learning rate of corrections of training frames, rad and quarter metres; 0 is none (authors' code)."""
+    """Learning rate of corrections of training frames, rad and quarter meters; 0 is none (authors' code)."""
     tracking_epochs: int = 10
     """Epochs before they begin (authors' code)."""
     jaw: float = 0.4
@@ -114,7 +114,7 @@ class Config:
     eikonal_weight: float = 0.1
     """Weight of the mean squared difference of the gradient's length from 1 (authors' code)."""
     neighbours: float = 0.25
-    """Reach of the random neighbours at which it is looked at too, quarter metres (authors' code)."""
+    """Reach of the random neighbors at which it is looked at too, quarter meters (authors' code)."""
     head_weight: float = 10.0
     """Weight of the head model's targets, halved at every milestone (authors' code)."""
     head_milestones: tuple[int, ...] = (10, 20, 30, 40)
@@ -213,7 +213,7 @@ class PointAvatar(nn.Module):
         return int(self.steps_done) // self.schedule.epoch
 
     def gaussians(self, drive: Drive) -> Discs:
-        """The points posed by `drive`, in world space, with the colours that they show the camera."""
+        """The points posed by `drive`, in world space, with the colors that they show the camera."""
         drive = self._corrected(drive)
         canonical, pose = self._canonical(), self.driver.pose(drive)
         if torch.is_grad_enabled():
@@ -298,13 +298,13 @@ class PointAvatar(nn.Module):
         return self._kept
 
     def _pose_rows(self, rows: Sequence[Tensor], shared: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Posed points and their colours, from points, gradients of the distance and albedo."""
+        """Posed points and their colors, from points, gradients of the distance and albedo."""
         points, gradient, albedo = rows
         canonical = Canonical(Surface(albedo[:, 0], gradient, albedo), self._features(points))
         return self._posed(points, canonical, Pose(*shared))
 
     def _posed(self, points: Tensor, canonical: Canonical, pose: Pose) -> tuple[Tensor, Tensor]:
-        """Posed points, quarter metres, and their colours."""
+        """Posed points, quarter meters, and their colors."""
         assert canonical.features is not None
         motion = self.deformer.motion(canonical.features, pose.correctives)
         deformed = deform(points, motion, pose.canonical, pose.posed)

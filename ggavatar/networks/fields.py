@@ -30,7 +30,7 @@ PRIME = 2654435761
 
 @runtime_checkable
 class Field(Protocol):
-    """Anything that turns positions in metres into features."""
+    """Anything that turns positions in meters into features."""
 
     width: int
     """Number of features."""
@@ -42,16 +42,16 @@ class Field(Protocol):
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned cube that positions are normalised by; points outside are clamped to its surface."""
+    """An axis-aligned cube that positions are normalized by; points outside are clamped to its surface."""
 
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Centre, m."""
+    """Center, m."""
     side: float = 0.4
     """Length of an edge, m."""
 
     @staticmethod
     def around(points: Float[Tensor, "V 3"], margin: float = 1.4) -> Box:
-        """The cube at the centre of the points' bounds, its side `margin` times their longest (docs/paper.md, A10)."""
+        """The cube at the center of the points' bounds, its side `margin` times their longest (docs/paper.md, A10)."""
         low, high = points.detach().amin(0), points.detach().amax(0)
         center = ((low + high) / 2).tolist()
         return Box((center[0], center[1], center[2]), margin * float((high - low).max()))
@@ -115,7 +115,7 @@ class HashTriplane(nn.Module):
 
     Args:
         config: Resolutions and table sizes.
-        box: The cube that positions are normalised by.
+        box: The cube that positions are normalized by.
         generator: Draws the initial entries, uniform in ±1e-4.
 
     References:

@@ -17,7 +17,7 @@ from ggavatar.networks.mlp import field_perceptron
 __all__ = ["COLOUR_ROWS", "GEOMETRY_ROWS", "AdjusterConfig", "BasisAdjuster", "Offsets", "refine"]
 
 GEOMETRY_ROWS, COLOUR_ROWS = 10, 13
-"""Rows of a basis: position 3, rotation 4 and log-scale 3; with colour 3 more."""
+"""Rows of a basis: position 3, rotation 4 and log-scale 3; with color 3 more."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class AdjusterConfig:
     latent_hidden: int = 128
     """Width of the two hidden layers of the latent network."""
     rows: int = GEOMETRY_ROWS
-    """Rows of a basis: 10 for geometry, 13 with colour."""
+    """Rows of a basis: 10 for geometry, 13 with color."""
 
 
 class BasisAdjuster(nn.Module):

@@ -51,7 +51,7 @@ class Driver:
         head: Any head.
         canonical: The drive of the canonical pose.
         poses: What the training says about the head pose.
-        unit: Units of length of the points per metre.
+        unit: Units of length of the points per meter.
         root_is_still: Whether the head's root joint goes with the torso.
     """
 

@@ -24,18 +24,18 @@ ROWS = 512
 RATE = 2e-3
 """Learning rate of the fitting, which falls to nothing."""
 NEIGHBOURS = 0.25
-"""Reach of the neighbours at which the gradient's length is looked at, quarter metres."""
+"""Reach of the neighbors at which the gradient's length is looked at, quarter meters."""
 
 
 class HeadSurface(NamedTuple):
-    """Points on the head model in its canonical pose, quarter metres, with the unit normals of their triangles."""
+    """Points on the head model in its canonical pose, quarter meters, with the unit normals of their triangles."""
 
     points: Float[Tensor, "N 3"]
     normals: Float[Tensor, "N 3"]
 
     @staticmethod
     def of(head: HeadModel, canonical: Drive, unit: float, count: int, generator: torch.Generator) -> HeadSurface:
-        """`count` points, spread by area; `unit` of length of the points per metre."""
+        """`count` points, spread by area; `unit` of length of the points per meter."""
         vertices = unit * head.vertices(canonical)
         points, face, _ = spread_points(vertices, head.faces, count, generator)
         corners = vertices[head.faces[face]]

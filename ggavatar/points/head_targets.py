@@ -43,7 +43,7 @@ class HeadTargets:
             head: Any head; one without pose correctives wants none of the points.
             canonical: The canonical pose.
             coefficients: Expressions and lids of the training frames.
-            unit: Units of length of the points per metre.
+            unit: Units of length of the points per meter.
         """
         vertices = head.vertices(canonical)
         correctives = head.pose_basis

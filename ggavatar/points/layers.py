@@ -1,4 +1,4 @@
-"""Layers of PointAvatar's networks: weight normalisation, a sharp softplus, and positional encoding."""
+"""Layers of PointAvatar's networks: weight normalization, a sharp softplus, and positional encoding."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def affine(layer: nn.Module) -> tuple[Tensor, Tensor]:
 
 
 def he_normal(inputs: int, outputs: int, generator: torch.Generator) -> Float[Tensor, "O I"]:
-    """Normal weights with deviation √(2 / outputs), as in geometric initialisation (Atzmon & Lipman 2020)."""
+    """Normal weights with deviation √(2 / outputs), as in geometric initialization (Atzmon & Lipman 2020)."""
     return torch.randn(outputs, inputs, generator=generator) * (2 / outputs) ** 0.5
 
 

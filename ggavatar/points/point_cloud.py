@@ -31,7 +31,7 @@ class CloudSchedule:
     most: int
     """No doubling may lead to more points than this."""
     least_radius: float
-    """No pruning once discs are smaller than this, normalised device coordinates."""
+    """No pruning once discs are smaller than this, normalized device coordinates."""
 
 
 class PointCloud(nn.Module):
@@ -40,7 +40,7 @@ class PointCloud(nn.Module):
     Args:
         count: Points at first, on a sphere about the origin.
         sphere: Its radius, in the unit of the points.
-        radius_factor: Radius of the discs of 100 points, normalised device coordinates.
+        radius_factor: Radius of the discs of 100 points, normalized device coordinates.
         rate: Learning rate of the positions.
         generator: Draws the first points.
         start: The first points themselves, [count, 3], instead of a sphere.

@@ -1,6 +1,6 @@
 """Functions of rows, block by block: activations stay in the cache, and rows that no loss looks at get no backward.
 
-In a picture of points most are hidden, and their colour has no gradient. The forward pass keeps nothing; the backward
+In a picture of points most are hidden, and their color has no gradient. The forward pass keeps nothing; the backward
 pass repeats it for the rows whose outputs have a gradient.
 """
 

@@ -1,4 +1,4 @@
-"""Colour of points: albedo times a shading that depends on the normal alone (PointAvatar, Sec. 3.4)."""
+"""Color of points: albedo times a shading that depends on the normal alone (PointAvatar, Sec. 3.4)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WIDTH = 64
 
 
 class ShadingNetwork(nn.Module):
-    """Unit normal → shading in [0, 1] of every colour channel, one half being neutral."""
+    """Unit normal → shading in [0, 1] of every color channel, one half being neutral."""
 
     def __init__(self, generator: torch.Generator) -> None:
         super().__init__()
@@ -28,5 +28,5 @@ class ShadingNetwork(nn.Module):
 
 
 def shaded(shading: Float[Tensor, "N 3"], albedo: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-    """Colour: twice the product, within [0, 1]."""
+    """Color: twice the product, within [0, 1]."""
     return (2 * shading * albedo).clamp(0, 1)

@@ -60,7 +60,7 @@ def _times(matrices: Tensor, vectors: Tensor) -> Tensor:
 
 
 def inverse_3x3(matrices: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
-    """Inverses by cross products of rows, which is faster than a factorisation of each."""
+    """Inverses by cross products of rows, which is faster than a factorization of each."""
     a, b, c = matrices.unbind(-2)
     columns = torch.stack((torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)), dim=-1)
     return columns / (a * columns[..., 0]).sum(-1)[:, None, None]

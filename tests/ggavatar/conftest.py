@@ -1,4 +1,4 @@
-"""A toy capture: an egg that opens its mouth and turns, 24 frames of 48×48 px, drawn by the reference rasteriser."""
+"""A toy capture: an egg that opens its mouth and turns, 24 frames of 48×48 px, drawn by the reference rasterizer."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def toy_tracking() -> Tracking:
 
 
 def paint(head: HeadModel, drive: Drive, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """The egg in colours that change with the mouth, 8-bit, and its coverage."""
+    """The egg in colors that change with the mouth, 8-bit, and its coverage."""
     frames = triangle_frames(head.vertices(drive), head.faces)
     x, y, z = triangle_frames(head.neutral(), head.faces).centers.unbind(-1)
     colors = torch.stack((0.5 + 4 * x, 0.5 + 4 * y, 0.5 + 0.3 * torch.sin(80 * x + 60 * z)), dim=-1)

@@ -1,7 +1,7 @@
 """Expression and identity of the procedural head as tables of smooth pulls.
 
 A pull moves the skin around a point by a vector, with a Gaussian falloff. One unit of a coefficient is the full
-expression; coefficients add up. Points and lengths in metres for the left half (+X); `sides` says whether the pull is
+expression; coefficients add up. Points and lengths in meters for the left half (+X); `sides` says whether the pull is
 one coefficient per side or one for both.
 """
 
@@ -25,7 +25,7 @@ class Pull:
     Attributes:
         center: Where it is strongest, m.
         reach: Distance along x, y and z at which it has fallen to 1/e, m.
-        move: Displacement at the centre, m.
+        move: Displacement at the center, m.
         lips: "upper" or "lower" if it must stop at the line between the lips, else "both".
     """
 

@@ -20,10 +20,10 @@ class Warp:
 
     Attributes:
         name: What it changes when positive.
-        center: Fixed point of the scaling and centre of the window on the left half, m.
+        center: Fixed point of the scaling and center of the window on the left half, m.
         reach: Window along x, y and z, m; 9 stands for everywhere.
-        scale: Relative growth along x, y and z about the centre.
-        move: Displacement at the centre, m.
+        scale: Relative growth along x, y and z about the center.
+        move: Displacement at the center, m.
         soft_only: Teeth, tongue and eyeballs stay where they are.
     """
 

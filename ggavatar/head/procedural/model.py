@@ -1,4 +1,4 @@
-"""A licence-free head in FLAME's parameter layout, made by a few seconds of arithmetic and no data file.
+"""A license-free head in FLAME's parameter layout, made by a few seconds of arithmetic and no data file.
 
 It serves as the embedded subject's tracked head and as the generic head from which the tracker takes scalp, neck and
 shoulders.

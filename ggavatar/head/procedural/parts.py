@@ -1,6 +1,6 @@
 """What the skin does not cover.
 
-Lid margins, the inside of the mouth, eyeballs, teeth, tongue and ears. Metres, FLAME's axes.
+Lid margins, the inside of the mouth, eyeballs, teeth, tongue and ears. Meters, FLAME's axes.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def eyelid_basis(
 
 
 def _closing(local: ndarray, upper: ndarray, lower: ndarray) -> ndarray:
-    """Displacement of skin points relative to the eye's centre, given both margins' heights above each point's x."""
+    """Displacement of skin points relative to the eye's center, given both margins' heights above each point's x."""
     line = lower + _CLOSED_SHARE * (upper - lower)
     above = local[:, 1] >= 0.5 * (upper + lower)
     margin = np.where(above, upper, lower)

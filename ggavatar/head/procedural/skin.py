@@ -129,7 +129,7 @@ def _at_front(points: ndarray) -> ndarray:
 
 
 def spacing(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
-    """Wanted distance between neighbouring vertices, m.
+    """Wanted distance between neighboring vertices, m.
 
     Fine at the nose, eyes and mouth, coarse on scalp and shoulders.
     """
@@ -262,7 +262,7 @@ def _loops(directions: ndarray, lids: ndarray, lips: ndarray) -> tuple[ndarray, 
 
 
 def _close_lips(vertices: ndarray, lips: ndarray) -> ndarray:
-    """Move the loop of the lip margin onto the line between the closed lips, a tenth of a millimetre apart."""
+    """Move the loop of the lip margin onto the line between the closed lips, a tenth of a millimeter apart."""
     closed = vertices.copy()
     x = MOUTH_HALF_WIDTH * np.cos(np.arange(LIP_POINTS) * 2 * np.pi / LIP_POINTS)
     side = np.sign(np.round(np.sin(np.arange(LIP_POINTS) * 2 * np.pi / LIP_POINTS), 9))
@@ -273,7 +273,7 @@ def _close_lips(vertices: ndarray, lips: ndarray) -> ndarray:
 
 
 def _relax(vertices: ndarray, faces: ndarray, movable: ndarray) -> ndarray:
-    """Even out the triangles: every movable vertex slides towards its neighbours' mean and returns to the surface."""
+    """Even out the triangles: every movable vertex slides towards its neighbors' mean and returns to the surface."""
     edges = np.concatenate((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     both = np.concatenate((edges, edges[:, ::-1]))
     graph = coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(len(vertices),) * 2).tocsr()

@@ -1,7 +1,7 @@
 """The procedural head's skin as a smooth union of blobs, and rays that find it.
 
 Every blob is a capsule with two radii (an ellipsoid when both ends coincide) in a space stretched along x, y and z.
-Lengths in metres, FLAME's axes. Positions follow common adult anthropometry (head 152 mm wide, 195 mm deep, eyes 62 mm
+Lengths in meters, FLAME's axes. Positions follow common adult anthropometry (head 152 mm wide, 195 mm deep, eyes 62 mm
 apart, mouth 50 mm wide).
 """
 
@@ -141,7 +141,7 @@ def _smooth_minimum(first: ndarray, second: ndarray, width: float) -> ndarray:
 def cast(directions: Float[ndarray, "N 3"], blobs: tuple[Blob, ...] = SCULPTURE) -> Float[ndarray, "N 3"]:
     """The skin point that each unit direction of the parameter sphere stands for, m.
 
-    Directions above the chin are rays from the head's centre. Below it the origin slides down the neck while the ray
+    Directions above the chin are rays from the head's center. Below it the origin slides down the neck while the ray
     levels out, so that the throat and the neck are met at a useful angle; the last degrees before the south pole are
     swept outwards as shoulders.
     """

@@ -60,7 +60,7 @@ def unwrap(
 
 
 def _skin_height(points: ndarray) -> ndarray:
-    """Height along the profile in [0, 1]: angle above the ears on the dome, metres below.
+    """Height along the profile in [0, 1]: angle above the ears on the dome, meters below.
 
     The two meet smoothly enough for texels.
     """

@@ -343,7 +343,7 @@ def test_huge_pictures_are_refused_before_decoding(tmp_path):
 
 
 def test_pictures_of_other_kinds(tmp_path):
-    """16-bit, with transparency, grey, JPEG; reference: the values written by OpenCV."""
+    """16-bit, with transparency, gray, JPEG; reference: the values written by OpenCV."""
     import cv2
 
     deep = np.full((4, 6), 65535 // 2, np.uint16)

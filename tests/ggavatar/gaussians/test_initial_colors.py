@@ -1,4 +1,4 @@
-"""First colours against weights computed pixel by pixel from the reference rasteriser's own pictures."""
+"""First colors against weights computed pixel by pixel from the reference rasterizer's own pictures."""
 
 from __future__ import annotations
 
