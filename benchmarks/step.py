@@ -13,7 +13,7 @@ from benchmarks.step_scene import StepScene
 from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
 from ggavatar.losses.dssim import image_terms, image_terms_in_torch
-from ggavatar.losses.terms import position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
+from ggavatar.losses.terms import position_in_torch, position_regularizer, scale_in_torch, scale_regularizer
 from ggavatar.networks.fields import HashTriplane, lookup_in_torch
 from ggavatar.networks.mlp import in_torch, perceptron
 
@@ -42,7 +42,7 @@ def pieces(scene: StepScene) -> dict[str, tuple[Call, Call]]:
             backward(lambda: image_terms_in_torch(image, scene.kept_target, (0.8, 0.2))),
         ),
         "regularisers": (
-            backward(lambda: [position_regulariser(rows["means"], visible), scale_regulariser(scales, visible)]),
+            backward(lambda: [position_regularizer(rows["means"], visible), scale_regularizer(scales, visible)]),
             backward(lambda: [position_in_torch(rows["means"], visible), scale_in_torch(scales, visible)]),
         ),
         "bind": (

@@ -134,7 +134,7 @@ class Capture:
         )
         for subfolder in (IMAGES, MASKS):
             check_images(
-                [capture.picture_path(subfolder, number) for number in capture.frames], capture.width, capture.height
+                [capture.image_path(subfolder, number) for number in capture.frames], capture.width, capture.height
             )
         return capture
 
@@ -143,7 +143,7 @@ class Capture:
         """The file of the head model (`ggavatar.head.files.load_head`)."""
         return self.folder / HEAD
 
-    def picture_path(self, subfolder: str, number: int) -> Path:
+    def image_path(self, subfolder: str, number: int) -> Path:
         """The file of one frame in `images` or `masks`."""
         return self.folder / subfolder / f"{number:06d}.png"
 
@@ -151,13 +151,13 @@ class Capture:
         """The image of a source frame, 8-bit sRGB, read from disk now."""
         self.row(number)
         with with_remedy(self.folder):
-            return read_rgb(self.picture_path(IMAGES, number))
+            return read_rgb(self.image_path(IMAGES, number))
 
     def mask(self, number: int) -> UInt8[np.ndarray, "H W"]:
         """The soft foreground mask of a source frame, 255 = person, read from disk now."""
         self.row(number)
         with with_remedy(self.folder):
-            return read_gray(self.picture_path(MASKS, number))
+            return read_gray(self.image_path(MASKS, number))
 
     def row(self, number: int) -> int:
         """The row of the tracking that belongs to a source frame number."""
@@ -189,8 +189,8 @@ class Capture:
     def _files(self) -> Iterator[Path]:
         yield from (self.folder / DESCRIPTION, self.folder / TRACKING, self.folder / HEAD)
         for number in self.frames:
-            yield self.picture_path(IMAGES, number)
-            yield self.picture_path(MASKS, number)
+            yield self.image_path(IMAGES, number)
+            yield self.image_path(MASKS, number)
 
     def describe(self) -> None:
         """Write tracking.npz and then, as the last file that makes the folder a capture, capture.json.
@@ -227,8 +227,8 @@ class Capture:
         with _appearing(self.folder) as unfinished:
             copy = dataclasses.replace(self, folder=unfinished)
             for number, (image, mask) in zip(self.frames, pictures, strict=True):
-                write_png(copy.picture_path(IMAGES, number), image)
-                write_png(copy.picture_path(MASKS, number), mask)
+                write_png(copy.image_path(IMAGES, number), image)
+                write_png(copy.image_path(MASKS, number), mask)
             write_npz(copy.folder / HEAD, head)
             copy.describe()
 

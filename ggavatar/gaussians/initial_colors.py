@@ -22,7 +22,7 @@ def splatted_colors(
 
     The weights are the rasterizer's own derivatives with respect to color, so any backend will do. Pixels count as far
     as they are foreground: in the background's color a Gaussian beside the person costs nothing, stays, and hides the
-    person in other poses (docs/experiments/2026-11-29-initial-colors-from-the-person.md).
+    person in other poses (docs/experiments/2026-11-29-initial-colours-from-the-person.md).
 
     Args:
         pose: Gaussians of a drive; their colors are not used.

@@ -20,9 +20,9 @@ __all__ = [
     "huber",
     "image_terms",
     "l1",
-    "log_scale_regulariser",
-    "position_regulariser",
-    "scale_regulariser",
+    "log_scale_regularizer",
+    "position_regularizer",
+    "scale_regularizer",
 ]
 
 
@@ -38,7 +38,7 @@ def huber(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"], delta: 
     return huber_loss(image, target, delta=delta)
 
 
-def position_regulariser(
+def position_regularizer(
     local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0
 ) -> Float[Tensor, ""]:
     """Mean over visible Gaussians of max(‖μ0‖ − `threshold`, 0); 0 if none is visible.
@@ -52,21 +52,21 @@ def position_regulariser(
         GGAvatar Eq. 14 read as in GaussianAvatars (docs/paper.md, A15, A16): on the norm, of local positions.
     """
     if compiled_for(local_means):
-        return cast(Tensor, _CompiledRegulariser.apply(local_means, visible, threshold, "POSITION"))
+        return cast(Tensor, _CompiledRegularizer.apply(local_means, visible, threshold, "POSITION"))
     return position_in_torch(local_means, visible, threshold)
 
 
 def position_in_torch(
     local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0
 ) -> Float[Tensor, ""]:
-    """`position_regulariser` in plain torch: any dtype and device."""
+    """`position_regularizer` in plain torch: any dtype and device."""
     square = local_means.square().sum(-1)
     beyond = square > threshold**2
     length = square.where(beyond, square.new_tensor(1.0)).sqrt()
     return _mean_where((length - threshold) * beyond, visible)
 
 
-def scale_regulariser(
+def scale_regularizer(
     local_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
 ) -> Float[Tensor, ""]:
     """Mean over visible Gaussians of ‖max(s0 − `threshold`, 0)‖; 0 if none is visible.
@@ -80,14 +80,14 @@ def scale_regulariser(
         GGAvatar Eq. 15; on local scales (docs/paper.md, A16).
     """
     if compiled_for(local_scales):
-        return cast(Tensor, _CompiledRegulariser.apply(local_scales, visible, threshold, "SCALE"))
+        return cast(Tensor, _CompiledRegularizer.apply(local_scales, visible, threshold, "SCALE"))
     return scale_in_torch(local_scales, visible, threshold)
 
 
-def log_scale_regulariser(
+def log_scale_regularizer(
     local_log_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
 ) -> Float[Tensor, ""]:
-    """`scale_regulariser` of the exponentials, in one sweep.
+    """`scale_regularizer` of the exponentials, in one sweep.
 
     Args:
         local_log_scales: Logarithms of standard deviations in units of the triangle's size.
@@ -95,14 +95,14 @@ def log_scale_regulariser(
         threshold: Standard deviation that costs nothing, in units of the triangle's size.
     """
     if compiled_for(local_log_scales):
-        return cast(Tensor, _CompiledRegulariser.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
+        return cast(Tensor, _CompiledRegularizer.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
     return scale_in_torch(local_log_scales.exp(), visible, threshold)
 
 
 def scale_in_torch(
     local_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
 ) -> Float[Tensor, ""]:
-    """`scale_regulariser` in plain torch: any dtype and device."""
+    """`scale_regularizer` in plain torch: any dtype and device."""
     square = (local_scales - threshold).clamp_min(0).square().sum(-1)
     beyond = square > 0
     length = square.where(beyond, square.new_tensor(1.0)).sqrt()
@@ -133,7 +133,7 @@ class _CompiledL1(torch.autograd.Function):
         return (signs * (upstream / max(signs.numel(), 1))).view(ctx.shape), None
 
 
-class _CompiledRegulariser(torch.autograd.Function):
+class _CompiledRegularizer(torch.autograd.Function):
     """The compiled regularizers; `kind` is the name of a constant of `ggavatar.losses.terms_kernel`."""
 
     @staticmethod
@@ -141,7 +141,7 @@ class _CompiledRegulariser(torch.autograd.Function):
         from ggavatar.losses import terms_kernel as kernels
 
         ctx.inputs = getattr(kernels, kind), _flat(rows), _flat(visible), np.float32(threshold)
-        total, seen = kernels.regulariser_sum(*ctx.inputs)
+        total, seen = kernels.regularizer_sum(*ctx.inputs)
         ctx.count = max(seen, 1)
         return rows.new_tensor(total / ctx.count)
 
@@ -150,7 +150,7 @@ class _CompiledRegulariser(torch.autograd.Function):
         from ggavatar.losses import terms_kernel as kernels
 
         gradient = padded(ctx.inputs[2].size, 3)
-        kernels.regulariser_gradient(*ctx.inputs, np.float32(upstream.item() / ctx.count), memory_of(gradient))
+        kernels.regularizer_gradient(*ctx.inputs, np.float32(upstream.item() / ctx.count), memory_of(gradient))
         return gradient, None, None, None
 
 

@@ -65,7 +65,7 @@ def seen_among(visible, first, last):
 
 
 @kernel
-def regulariser_sum(kind, rows, visible, threshold):
+def regularizer_sum(kind, rows, visible, threshold):
     """Sum of the costs over the visible rows, and how many are visible."""
     total_cost, seen, last = 0.0, 0, visible.size - 1
     rows, visible = pointer(rows, 0), pointer(visible, 0)
@@ -80,7 +80,7 @@ def regulariser_sum(kind, rows, visible, threshold):
 
 
 @kernel
-def regulariser_gradient(kind, rows, visible, threshold, upstream, gradient):
+def regularizer_gradient(kind, rows, visible, threshold, upstream, gradient):
     """`upstream` times the gradient of the sum; its memory is for a multiple of sixteen rows."""
     last = visible.size - 1
     rows, visible, gradient = pointer(rows, 0), pointer(visible, 0), pointer(gradient, 0)

@@ -29,7 +29,7 @@ from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms, log_scale_regulariser, position_regulariser
+from ggavatar.losses.terms import image_terms, log_scale_regularizer, position_regularizer
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
@@ -210,8 +210,8 @@ class GaussianAvatars(nn.Module):
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),
             "position": config.position_weight
-            * position_regulariser(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * log_scale_regulariser(rows["log_scales"], visible, config.scale_threshold),
+            * position_regularizer(rows["means"], visible, config.position_threshold),
+            "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.perceptual_weight and step > config.perceptual_share * self.scene.steps:
             boxes = region_boxes(self.head, frame) if self.perceptual.crops else []

@@ -31,7 +31,7 @@ from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms, l1, log_scale_regulariser, position_regulariser
+from ggavatar.losses.terms import image_terms, l1, log_scale_regularizer, position_regularizer
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
@@ -228,8 +228,8 @@ class GGAvatar(nn.Module):
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),  # Eq. 13
             "position": config.position_weight
-            * position_regulariser(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * log_scale_regulariser(rows["log_scales"], visible, config.scale_threshold),
+            * position_regularizer(rows["means"], visible, config.position_threshold),
+            "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.alpha_weight:
             terms["alpha"] = config.alpha_weight * l1(rendering.alpha, frame.alpha)

@@ -49,7 +49,7 @@ def run(job: Job) -> Mapping[str, Any]:
     Capture.open(job.folder)
     for item in capture.dropped:
         for folder in ("images", "masks"):
-            capture.picture_path(folder, item["frame"]).unlink(missing_ok=True)
+            capture.image_path(folder, item["frame"]).unlink(missing_ok=True)
     job.reporter.advance(1, 1)
     return {"frames": len(frames), "dropped": len(capture.dropped)}
 

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural.skin import slit_height
+from ggavatar.head.procedural.skin import lip_line_height
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.geometry import landmark_topology as topology
 
@@ -106,7 +106,9 @@ def _lip_outline(face: CanonicalFace) -> tuple[np.ndarray, np.ndarray]:
     across = places[:, 0] / places[:, 0].max()
     heights = np.where(places[:, 1] > places[np.argmax(across), 1], *LIP_HEIGHTS) * (1 - np.abs(across) ** 2.5)
     x = LIP_HALF_WIDTH * across
-    return landmarks, np.stack((x, slit_height(x) + heights, np.full(len(x), LIP_DEPTH) - 0.011 * across**2), axis=1)
+    return landmarks, np.stack(
+        (x, lip_line_height(x) + heights, np.full(len(x), LIP_DEPTH) - 0.011 * across**2), axis=1
+    )
 
 
 def skin_faces(head: HeadModel) -> Int[np.ndarray, "F 3"]:

@@ -13,7 +13,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
-from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis
+from ggavatar.head.procedural.model import procedural_head
 from preprocess.doctor.quality import landmark_error
 from preprocess.options import TrackingOptions
 from preprocess.tracking.face.clip_fit import Clip, FoundCamera
@@ -28,6 +28,7 @@ from preprocess.tracking.face.flame_fit import (
 from preprocess.tracking.flame_tracker import track_flame
 from preprocess.tracking.geometry.landmark_model import FaceModel
 from preprocess.tracking.geometry.rigid import Lens, Poses, project
+from tests.support.procedural_identity import identity_basis
 
 EXPRESSIONS = 44
 FRAMES = 24
@@ -38,7 +39,7 @@ def flame_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The procedural head as a file of FLAME's layout: identity first, then expression."""
     head = procedural_head()
     path = tmp_path_factory.mktemp("flame") / "generic_model.npz"
-    shapes = procedural_identity_basis().numpy()
+    shapes = identity_basis().numpy()
     np.savez(
         path,
         v_template=head.template.numpy(),
