@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -23,7 +23,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def ordered_map(
+    function: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None, ahead: int = AHEAD
+) -> Generator[Result]:
     """Results of a function that threads may call at once, in the order of the items.
 
     Items are taken in the caller's thread, a few ahead of the result that is asked for. The first exception ends it,
@@ -32,14 +34,16 @@ def ordered_map(function: Callable[[Item], Result], items: Iterable[Item]) -> It
     Args:
         function: Called once for each item, from any thread.
         items: May be endless or expensive: only a few are held at a time.
+        threads: How many threads call the function; None is one for each core.
+        ahead: Results that may wait for their turn, beside one for each thread.
     """
-    threads = cores()
+    threads = threads or cores()
     waiting: deque[Future[Result]] = deque()
     pool = ThreadPoolExecutor(threads, thread_name_prefix="in-order")
     try:
         for item in items:
             waiting.append(pool.submit(function, item))
-            if len(waiting) >= threads + AHEAD:
+            if len(waiting) >= threads + ahead:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.data.frames import spaced
+from ggavatar.data.frames import evenly_spaced
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.convex_hull import hull_mask
@@ -344,6 +344,6 @@ def _ever_seen(scene: Scene, poses: HeadPoses) -> Tensor:
     """Triangles that some training frame can show; all if there are no frames."""
     if not scene.drives:
         return torch.ones(len(scene.head.faces), dtype=torch.bool, device=scene.head.faces.device)
-    chosen = spaced(tuple(range(len(scene.drives))), VIEWS)
+    chosen = evenly_spaced(tuple(range(len(scene.drives))), VIEWS)
     posed = [poses.hold_torso(scene.head.vertices(scene.drives[row]), scene.drives[row], scene.head) for row in chosen]
     return ever_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)

@@ -38,7 +38,7 @@ from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder
 from ggavatar.head.region_boxes import region_boxes
-from ggavatar.head.triangle_skinning import FaceMotion, FaceSkin
+from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import image_terms
 from ggavatar.losses.vgg_term import PerceptualTerm
@@ -195,7 +195,7 @@ class GaussianBlendshapes(nn.Module):
         coefficients = torch.cat((drive.expression, drive.eyelids)) / self.spreads
         with torch.no_grad():
             linear, offset, turn = self.changes.at(coefficients)
-            skin = self._motion(drive)
+            skin = self._face_transforms(drive)
             shift = (skin.linear @ offset[:, :, None]).squeeze(-1) + skin.offset
             point, shift, turn = (skin.linear @ linear)[face], shift[face], turn[face]
             weights = (self.strengths * coefficients[self.slots])[face]
@@ -251,12 +251,12 @@ class GaussianBlendshapes(nn.Module):
         """Which features the perceptual loss used."""
         return self.perceptual.notes()
 
-    def _motion(self, drive: Drive) -> FaceMotion:
+    def _face_transforms(self, drive: Drive) -> FaceTransforms:
         """Skinning of every triangle, the torso held still if the head pose acts on the neck."""
-        motion = self.skin.motion(self.head, drive)
+        transforms = self.skin.transforms(self.head, drive)
         if self.config.pose_on == "camera" or not self.poses.in_camera:
-            return motion
-        return self.skin.hold(motion, self.poses.torso(drive), self.head.joint("root"))
+            return transforms
+        return self.skin.hold_torso(transforms, self.poses.torso(drive), self.head.joint("root"))
 
     def _differences(self, weights: Float[Tensor, "N M"]) -> tuple[Tensor, ...]:
         """What the learned differences add to positions, quaternions, log-scales, opacity logits and harmonics."""
@@ -321,14 +321,14 @@ def coefficient_spreads(head: HeadModel, drives: tuple[Drive, ...]) -> Float[Ten
     return torch.where(spreads > 1e-6, spreads, torch.zeros_like(spreads))
 
 
-def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceChanges, FaceSkin]:
+def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceChanges, FaceSkinning]:
     """Mesh blendshapes and skinning of every triangle; with `teeth`, of two more that follow the head and the jaw."""
     displacements = torch.cat((head.expression_basis, head.eyelid_basis), dim=2) * spreads
-    changes, skin = transferred(head.template, head.faces, displacements), FaceSkin.of(head)
+    changes, skin = transferred(head.template, head.faces, displacements), FaceSkinning.of(head)
     if not teeth:
         return changes, skin
     rigid = [head.joint(name if name in head.joint_names else head.joint_names[0]) for name in ("neck", "jaw")]
-    return changes.with_still(2), skin.with_rigid(rigid)
+    return changes.with_still(2), skin.with_rigid_faces(rigid)
 
 
 def strongest(displacement: Float[Tensor, "F K"], config: Config) -> tuple[Tensor, Tensor]:

@@ -253,7 +253,7 @@ def test_no_folder_at_all(tmp_path):
 
 def test_writing_never_touches_an_existing_folder(folder):
     before = sorted(path.name for path in folder.rglob("*"))
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="already exists"):
         a_capture(folder).write(pictures_of(NUMBERS), head_arrays())
     assert sorted(path.name for path in folder.rglob("*")) == before
 
