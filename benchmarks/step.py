@@ -13,7 +13,12 @@ from benchmarks.step_scene import StepScene
 from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
 from ggavatar.losses.dssim import image_terms, image_terms_in_torch
-from ggavatar.losses.terms import position_in_torch, position_regularizer, scale_in_torch, scale_regularizer
+from ggavatar.losses.terms import (
+    log_scale_regularizer,
+    log_scale_regularizer_in_torch,
+    position_regularizer,
+    position_regularizer_in_torch,
+)
 from ggavatar.networks.fields import HashTriplane, lookup_in_torch
 from ggavatar.networks.mlp import in_torch, perceptron
 
@@ -41,9 +46,14 @@ def pieces(scene: StepScene) -> dict[str, tuple[Call, Call]]:
             backward(lambda: image_terms(image, scene.kept_target, 0.2)),
             backward(lambda: image_terms_in_torch(image, scene.kept_target, (0.8, 0.2))),
         ),
-        "regularisers": (
-            backward(lambda: [position_regularizer(rows["means"], visible), scale_regularizer(scales, visible)]),
-            backward(lambda: [position_in_torch(rows["means"], visible), scale_in_torch(scales, visible)]),
+        "regularizers": (
+            backward(lambda: [position_regularizer(rows["means"], visible), log_scale_regularizer(local[2], visible)]),
+            backward(
+                lambda: [
+                    position_regularizer_in_torch(rows["means"], visible),
+                    log_scale_regularizer_in_torch(local[2], visible),
+                ]
+            ),
         ),
         "bind": (
             backward(lambda: bind(*local, scene.face, scene.neutral), shape),

@@ -14,8 +14,8 @@ from ggavatar.geometry.transforms import look_at
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
-from ggavatar.losses.dssim import DssimTarget
-from ggavatar.losses.terms import image_terms, log_scale_regularizer, position_regularizer
+from ggavatar.losses.dssim import DssimTarget, image_terms
+from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
 from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.render.cpu import rasterizer

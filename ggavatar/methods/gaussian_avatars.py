@@ -29,7 +29,8 @@ from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms, log_scale_regularizer, position_regularizer
+from ggavatar.losses.dssim import image_terms
+from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded

@@ -40,7 +40,7 @@ from ggavatar.head.mouth_interior import MouthCylinder
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms
+from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled

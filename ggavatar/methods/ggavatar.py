@@ -31,7 +31,8 @@ from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms, l1, log_scale_regularizer, position_regularizer
+from ggavatar.losses.dssim import image_terms
+from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
