@@ -20,7 +20,7 @@ from ggavatar.losses.terms import (
     position_regularizer_in_torch,
 )
 from ggavatar.networks.fields import HashTriplane, lookup_in_torch
-from ggavatar.networks.mlp import in_torch, perceptron
+from ggavatar.networks.mlp import perceptron, perceptron_in_torch
 
 COUNT, SIZE = 50_000, 512
 QUICK_COUNT, QUICK_SIZE = 5_000, 128
@@ -72,7 +72,7 @@ def field_pieces(scene: StepScene, upstream: Tensor, to_features: Tensor) -> dic
     adjuster, x = scene.adjuster, scene.positions()
     field = adjuster.field
     assert isinstance(field, HashTriplane)
-    unit = field.box.normalise(x)
+    unit = field.box.normalize(x)
     features = field(x).detach().requires_grad_()
 
     def layers() -> list[tuple[Tensor, Tensor]]:
@@ -86,11 +86,11 @@ def field_pieces(scene: StepScene, upstream: Tensor, to_features: Tensor) -> dic
         "triplane": (backward(lambda: [field(x)], [to_features]), backward(lambda: [look_up()], [to_features])),
         "network": (
             backward(lambda: [perceptron(features, *layers())], [upstream]),
-            backward(lambda: [in_torch(features, *layers())], [upstream]),
+            backward(lambda: [perceptron_in_torch(features, *layers())], [upstream]),
         ),
         "adjuster": (
             backward(lambda: [adjuster(x, scene.condition).rows], [upstream]),
-            backward(lambda: [in_torch(look_up(), *layers())], [upstream]),
+            backward(lambda: [perceptron_in_torch(look_up(), *layers())], [upstream]),
         ),
     }
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -29,6 +29,7 @@ from torch.nn.functional import normalize
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.data.scene import Scene
+from ggavatar.gaussians.binding import WorldGeometry
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.convex_hull import hull_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
@@ -250,20 +251,12 @@ class FlashAvatar(nn.Module):
         return hull_mask(project(lips, frame.camera.intrinsics, frame.camera.world_to_camera), height, width)
 
 
-class Moved(NamedTuple):
-    """Geometry of Gaussians in the world: m, unit quaternions wxyz, m."""
-
-    means: Float[Tensor, "N 3"]
-    quats: Float[Tensor, "N 4"]
-    scales: Float[Tensor, "N 3"]
-
-
 def moved(
     places: Float[Tensor, "N 3"],
     quats: Float[Tensor, "N 4"],
     log_scales: Float[Tensor, "N 3"],
     offsets: Float[Tensor, "N 10"],
-) -> Moved:
+) -> WorldGeometry:
     """Gaussians moved by the network's outputs after tanh: meters, a quaternion, factors of the logarithm of scales.
 
     The real part of the quaternion is exp of its output and therefore positive; the factors are exp of theirs, from
@@ -271,7 +264,7 @@ def moved(
     """
     turn = torch.cat((offsets[:, 3:4].exp(), offsets[:, 4:7]), dim=-1)
     turned = normalize(quaternion_multiply(quats, turn), dim=-1)
-    return Moved(places + offsets[:, :3], turned, (log_scales * offsets[:, 7:].exp()).exp())
+    return WorldGeometry(places + offsets[:, :3], turned, (log_scales * offsets[:, 7:].exp()).exp())
 
 
 def encoded(points: Float[Tensor, "N 3"], octaves: int) -> Float[Tensor, "N D"]:

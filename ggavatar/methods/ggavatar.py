@@ -20,11 +20,11 @@ from torch import Tensor, nn
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.gaussians.binding import Placed, bind
+from ggavatar.gaussians.binding import WorldGeometry, bind
 from ggavatar.gaussians.density_control import DensityControl, accumulate
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.gaussians.initialization import BoundRates, bound_rows
-from ggavatar.gaussians.offsets import COLOUR, Offsets, refine
+from ggavatar.gaussians.offsets import COLOR_ROWS, GEOMETRY_ROWS, Offsets, refine
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
@@ -277,7 +277,7 @@ class GGAvatar(nn.Module):
         face = self.head.condition(drive)
         return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
 
-    def _placed(self, frames: TriangleFrames) -> Placed:
+    def _placed(self, frames: TriangleFrames) -> WorldGeometry:
         """The Gaussians on these triangles (Eq. 6–8)."""
         rows = self.rows
         return bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], frames)
@@ -330,7 +330,7 @@ def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
     )
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
     conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
-    rows = COLOUR + 3 if config.color_unit else COLOUR
+    rows = GEOMETRY_ROWS + (COLOR_ROWS if config.color_unit else 0)
     adjuster_sizes = AdjusterConfig(config.latent, config.hidden, config.latent_hidden, rows)
     return BasisAdjuster(field, conditions, adjuster_sizes, generator).to(scene.background.device)
 

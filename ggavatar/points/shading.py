@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.networks.morph_adjuster import linear
+from ggavatar.networks.linear import seeded_linear
 from ggavatar.points.layers import NormedLinear
 
 WIDTH = 64
@@ -18,7 +18,7 @@ class ShadingNetwork(nn.Module):
     def __init__(self, generator: torch.Generator) -> None:
         super().__init__()
         sizes = ((3, WIDTH), (WIDTH, WIDTH), (WIDTH, 3))
-        drawn = [linear(inputs, outputs, generator) for inputs, outputs in sizes]
+        drawn = [seeded_linear(inputs, outputs, generator) for inputs, outputs in sizes]
         self.layers = nn.ModuleList(NormedLinear(layer.weight.detach(), layer.bias.detach()) for layer in drawn)
 
     def forward(self, normals: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
