@@ -30,7 +30,7 @@ from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrection
 from ggavatar.points.canonical import CanonicalNetwork, Surface
 from ggavatar.points.canonical_reference import CanonicalConfig
 from ggavatar.points.deformer import Features, PointDeformer
-from ggavatar.points.driving import Driver, Pose, canonical_drive, expression_coefficients
+from ggavatar.points.driving import PosedSkeleton, SkeletonDriver, canonical_drive, expression_coefficients
 from ggavatar.points.head_fitting import HeadSurface, fit_to_head
 from ggavatar.points.head_targets import HeadTargets
 from ggavatar.points.point_cloud import CloudSchedule, PointCloud
@@ -182,7 +182,7 @@ class PointAvatar(nn.Module):
         drives = scene.drives or (self.head.neutral_drive(),)
         canonical = canonical_drive(self.head, drives, config.jaw)
         poses = HeadPoses.of(self.head, drives)
-        self.driver = Driver(self.head, canonical, poses, UNIT, config.pose_on == "neck")
+        self.driver = SkeletonDriver(self.head, canonical, poses, UNIT, config.pose_on == "neck")
         coefficients = torch.stack([expression_coefficients(drive) for drive in drives])
         self.targets = HeadTargets.of(self.head, canonical, coefficients, UNIT)
         self.canonical = canonical
@@ -210,12 +210,12 @@ class PointAvatar(nn.Module):
     @property
     def epoch(self) -> int:
         """Epoch of the next step, from 0."""
-        return int(self.steps_done) // self.schedule.epoch
+        return int(self.steps_done) // self.schedule.steps_per_epoch
 
     def gaussians(self, drive: Drive) -> Discs:
         """The points posed by `drive`, in world space, with the colors that they show the camera."""
         drive = self._corrected(drive)
-        canonical, pose = self._canonical(), self.driver.pose(drive)
+        canonical, pose = self._canonical(), self.driver.posed_skeleton(drive)
         if torch.is_grad_enabled():
             parameters = [*self.deformer.parameters(), *self.shading.parameters()]
             points, colors = rowwise(self._pose_rows, (self.cloud.points, *canonical.surface[1:]), pose, parameters)
@@ -284,7 +284,7 @@ class PointAvatar(nn.Module):
     def _features(self, points: Tensor) -> Features:
         """What moves points, with or without derivatives."""
         if self.config.normals == "joints":
-            return self.deformer.features_alone(points)
+            return self.deformer.features_without_tangents(points)
         return self.deformer.features(points)
 
     def _canonical(self) -> Canonical:
@@ -301,12 +301,12 @@ class PointAvatar(nn.Module):
         """Posed points and their colors, from points, gradients of the distance and albedo."""
         points, gradient, albedo = rows
         canonical = Canonical(Surface(albedo[:, 0], gradient, albedo), self._features(points))
-        return self._posed(points, canonical, Pose(*shared))
+        return self._posed(points, canonical, PosedSkeleton(*shared))
 
-    def _posed(self, points: Tensor, canonical: Canonical, pose: Pose) -> tuple[Tensor, Tensor]:
+    def _posed(self, points: Tensor, canonical: Canonical, pose: PosedSkeleton) -> tuple[Tensor, Tensor]:
         """Posed points, quarter meters, and their colors."""
         assert canonical.features is not None
-        motion = self.deformer.motion(canonical.features, pose.correctives)
+        motion = self.deformer.deformation(canonical.features, pose.correctives)
         deformed = deform(points, motion, pose.canonical, pose.posed)
         normals = deformed_normals(deformed.tangents, normalize(canonical.surface.gradient, dim=-1))
         return deformed.points, shaded(self.shading(normals @ pose.head_to_camera.T), canonical.surface.albedo)

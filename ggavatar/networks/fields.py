@@ -51,7 +51,7 @@ class Box:
 
     @staticmethod
     def around(points: Float[Tensor, "V 3"], margin: float = 1.4) -> Box:
-        """The cube about the center of the points' bounding box, `margin` times its longest side (docs/paper.md, A10)."""
+        """The cube about the center of the bounding box, `margin` times its longest side (docs/paper.md, A10)."""
         low, high = points.detach().amin(0), points.detach().amax(0)
         center = ((low + high) / 2).tolist()
         return Box((center[0], center[1], center[2]), margin * float((high - low).max()))

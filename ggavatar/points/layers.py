@@ -16,14 +16,14 @@ class NormedLinear(nn.Module):
     """A fully connected layer whose weight rows are magnitude · direction / ‖direction‖ (Salimans & Kingma 2016)."""
 
     def __init__(self, weight: Float[Tensor, "O I"], bias: Float[Tensor, " O"]) -> None:
-        """Start with this weight and bias."""
+        """A layer with this initial weight and bias."""
         super().__init__()
         self.direction = nn.Parameter(weight)
         self.magnitude = nn.Parameter(weight.norm(dim=1, keepdim=True))
         self.bias = nn.Parameter(bias)
 
     def weight(self) -> Float[Tensor, "O I"]:
-        """The weight as it multiplies."""
+        """The weight matrix: magnitude times normalized direction."""
         return self.direction * (self.magnitude / self.direction.norm(dim=1, keepdim=True))
 
     def forward(self, x: Float[Tensor, "*B I"]) -> Float[Tensor, "*B O"]:
@@ -31,8 +31,8 @@ class NormedLinear(nn.Module):
         return torch.nn.functional.linear(x, self.weight(), self.bias)
 
 
-def affine(layer: nn.Module) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a `NormedLinear` out of a list of modules."""
+def weight_and_bias(layer: nn.Module) -> tuple[Tensor, Tensor]:
+    """Weight matrix and bias of a module that is a `NormedLinear`."""
     assert isinstance(layer, NormedLinear)
     return layer.weight(), layer.bias
 
@@ -43,17 +43,19 @@ def he_normal(inputs: int, outputs: int, generator: torch.Generator) -> Float[Te
 
 
 def softplus(z: Tensor) -> tuple[Tensor, Tensor]:
-    """The sharp softplus and its derivative, both differentiable once."""
+    """The sharp softplus and its derivative; both are differentiable once."""
     return cast(tuple[Tensor, Tensor], _Softplus.apply(z))
 
 
 class _Softplus(torch.autograd.Function):
-    """Value and derivative from one exponential, twice as fast as torch's."""
+    """Value and derivative from one exponential, twice as fast as torch's softplus."""
 
     @staticmethod
     def forward(ctx: Any, z: Tensor) -> tuple[Tensor, Tensor]:
         derivative = torch.sigmoid(SHARPNESS * z)
-        larger = torch.maximum(derivative, 1 - derivative)  # of the two, whose logarithm is exact on either side
+        larger = torch.maximum(
+            derivative, 1 - derivative
+        )  # the larger of the two, whose logarithm is accurate for either sign of z
         ctx.save_for_backward(derivative)
         return z.relu() - larger.log() / SHARPNESS, derivative
 
@@ -64,7 +66,7 @@ class _Softplus(torch.autograd.Function):
 
 
 def encode(x: Float[Tensor, "N 3"], octaves: int) -> tuple[Float[Tensor, "N D"], Float[Tensor, "N D"]]:
-    """x, then sin(2ᵏ x) and cos(2ᵏ x) for every octave, and the derivative of each entry by its own coordinate."""
+    """x, then sin(2ᵏ x) and cos(2ᵏ x) for every octave, and the derivative of each entry by its coordinate."""
     values, slopes = [x], [torch.ones_like(x)]
     for octave in range(octaves):
         factor = 2.0**octave

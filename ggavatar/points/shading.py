@@ -1,4 +1,4 @@
-"""Color of points: albedo times a shading that depends on the normal alone (PointAvatar, Sec. 3.4)."""
+"""Color of points: albedo times a shading that depends on the normal only (PointAvatar, Sec. 3.4)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WIDTH = 64
 
 
 class ShadingNetwork(nn.Module):
-    """Unit normal → shading in [0, 1] of every color channel, one half being neutral."""
+    """Network from unit normals to shading in [0, 1] of each color channel; 0.5 is neutral."""
 
     def __init__(self, generator: torch.Generator) -> None:
         super().__init__()
@@ -22,7 +22,7 @@ class ShadingNetwork(nn.Module):
         self.layers = nn.ModuleList(NormedLinear(layer.weight.detach(), layer.bias.detach()) for layer in drawn)
 
     def forward(self, normals: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        """Shading at surfaces with these normals, as the camera sees them."""
+        """Shading of surfaces with these normals, which are in camera axes."""
         first, second, last = self.layers
         return torch.sigmoid(last(torch.relu(second(torch.relu(first(normals))))))
 

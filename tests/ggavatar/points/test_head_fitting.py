@@ -66,9 +66,9 @@ def test_normals_that_turn_with_the_joints(avatar: PointAvatar) -> None:
     """Without derivatives points land where they do with them, and normals see the blended transforms alone."""
     avatar.train()
     drive = avatar.scene.drives[5]
-    points, pose = avatar.cloud.points.detach(), avatar.driver.pose(drive)
-    alone = avatar.deformer.motion(avatar.deformer.features_alone(points), pose.correctives)
-    whole = avatar.deformer.motion(avatar.deformer.features(points), pose.correctives)
+    points, pose = avatar.cloud.points.detach(), avatar.driver.posed_skeleton(drive)
+    alone = avatar.deformer.deformation(avatar.deformer.features_without_tangents(points), pose.correctives)
+    whole = avatar.deformer.deformation(avatar.deformer.features(points), pose.correctives)
     found, wanted = (deform(points, motion, pose.canonical, pose.posed) for motion in (alone, whole))
     assert torch.allclose(found.points, wanted.points, atol=1e-5)
     to, back = (torch.einsum("nj,jab->nab", alone.weights, bones.rotations) for bones in (pose.posed, pose.canonical))
