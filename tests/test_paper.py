@@ -231,7 +231,7 @@ def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
 
 def test_first_rows_are_one_gaussian_per_triangle_at_its_centroid() -> None:
     avatar = build(Config(), small_scene())
-    gaussians, frames = avatar.gaussians(drive_of(avatar)), avatar.neutral_frames
+    gaussians, frames = avatar.gaussians(drive_of(avatar)), avatar.neutral_local_frames
     assert torch.allclose(gaussians.means, frames.centers)
     assert torch.allclose(gaussians.scales, frames.scales[:, None].expand(8, 3))
     assert torch.allclose(gaussians.opacities, torch.full((8,), 0.1)) and gaussians.sh_degree == 0
@@ -337,7 +337,7 @@ def test_table_2_ablations() -> None:
     assert avatars["without_triplane"].adjuster is not None and avatars["without_triplane"].adjuster.field.width == 63
     assert not at_step(avatars["without_initialization"], 0).is_neutral
     still = at_step(avatars["without_lbs"], 6_000)
-    faces = [still._face_frames(which).centers for which in (drive, neutral)]
+    faces = [still._local_frames(which).centers for which in (drive, neutral)]
     assert torch.equal(*faces)
     assert not torch.allclose(still.gaussians(drive).means, still.gaussians(neutral).means, atol=1e-5)
 

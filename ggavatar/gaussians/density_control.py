@@ -21,6 +21,7 @@ from torch import Tensor
 from ggavatar.core import Rendering
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.optim.parameters import Rows
+from ggavatar.optim.schedules import scaled
 
 SPLIT_CHILDREN = 2
 SPLIT_SHRINK = 0.8 * SPLIT_CHILDREN
@@ -195,6 +196,18 @@ class DensityControl:
             growing = torch.zeros_like(growing)
             growing[ranked[:room]] = True
         return growing
+
+
+def scaled_schedule(
+    start: int, stop: int, interval: int, reset_interval: int, steps: int, iterations: int
+) -> tuple[int, int, int, int]:
+    """The first four fields of `DensityControl` for a training of `steps`, from those for one of `iterations`.
+
+    Short trainings keep an interval of 20 steps, or of 10 to 20 steps to have 30 rounds, and 10 rounds between resets.
+    """
+    first, last = scaled(start, steps, iterations), scaled(stop, steps, iterations)
+    between = max(min(max(20, scaled(interval, steps, iterations)), (last - first) // 30), 10)
+    return first, last, between, max(scaled(reset_interval, steps, iterations), 10 * between)
 
 
 def _world_sizes(rows: Rows, face_scales: Tensor) -> Tensor:

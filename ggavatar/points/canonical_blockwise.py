@@ -1,7 +1,7 @@
 """The canonical network block by block within the cache, with its backward pass in closed form.
 
-The result is that of `canonical_reference.evaluate_surface_in_torch`, in float32 on a CPU. The backward pass visits only
-points with an upstream gradient; points that are hidden in the image cost the forward pass only. Hidden layers can be
+The result is that of `canonical_reference.evaluate_surface_in_torch`, in float32 on a CPU. The backward pass visits
+only points with an upstream gradient; points that are hidden in the image cost the forward pass only. Hidden layers can be
 bfloat16; positions, outputs and the gradients by all parameters are float32.
 """
 

@@ -94,7 +94,7 @@ class PointDeformer(nn.Module):
         return Features(values, None, weights, weights.new_zeros(len(x), 3, weights.shape[1]))
 
     def deformation(self, features: Features, coefficients: Float[Tensor, " B"]) -> PointDeformation:
-        """The deformation for blendshape coefficients, which are contracted with the basis before it meets the points."""
+        """The deformation for blendshape coefficients; they are contracted with the basis once for all points."""
         sums = torch.stack((torch.tensordot(coefficients, self.shape_weight[:-1], 1), self.shape_weight[-1]))
         biases = torch.stack((coefficients @ self.shape_bias[:-1], self.shape_bias[-1]))
         shapes = torch.addmm(biases.flatten(), features.values, sums.flatten(0, 1).T)

@@ -53,9 +53,7 @@ class _Softplus(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, z: Tensor) -> tuple[Tensor, Tensor]:
         derivative = torch.sigmoid(SHARPNESS * z)
-        larger = torch.maximum(
-            derivative, 1 - derivative
-        )  # the larger of the two, whose logarithm is accurate for either sign of z
+        larger = torch.maximum(derivative, 1 - derivative)  # its logarithm is accurate for either sign of z
         ctx.save_for_backward(derivative)
         return z.relu() - larger.log() / SHARPNESS, derivative
 

@@ -9,7 +9,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
 from ggavatar.data.scene import Scene
 from ggavatar.head.model import HeadModel
-from ggavatar.methods.point_avatar import UNIT, Config, PointAvatar, build
+from ggavatar.methods.point_avatar import UNITS_PER_METER, Config, PointAvatar, build
 from ggavatar.points.skinning import deform, deformed_normals
 
 
@@ -26,7 +26,7 @@ def avatar(toy_capture: Capture, toy_head: HeadModel) -> PointAvatar:
 
 
 def test_points_begin_on_the_mesh(avatar: PointAvatar) -> None:
-    vertices = UNIT * avatar.head.vertices(avatar.canonical)
+    vertices = UNITS_PER_METER * avatar.head.vertices(avatar.canonical)
     corners = vertices[avatar.head.faces]
     normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = normals / normals.norm(dim=1, keepdim=True)
