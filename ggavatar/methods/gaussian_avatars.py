@@ -199,7 +199,7 @@ class GaussianAvatars(nn.Module):
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
 
     def gaussians(self, drive: Drive) -> Gaussians:
-        """The avatar posed by `drive`, in world space; drives of training frames are corrected first (Sec. 3.2, 3.4)."""
+        """The avatar posed by `drive`, in world space; drives of training frames are corrected first (Sec. 3.4)."""
         rows, local_frames = self.rows, self._local_frames(drive)
         means, quats, scales = bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], local_frames)
         sh = harmonics(rows)

@@ -102,7 +102,7 @@ def test_children_spread_as_their_parent_does() -> None:
         ([0, 0, 1, 1, 1], [1, 1, 1, 1, 0], [0, 0, 1, 1, 0]),
     ],
 )
-def test_a_face_is_never_left_bare(face: list[int], to_prune: list[int], expected: list[int]) -> None:
+def test_a_face_keeps_its_last_row(face: list[int], to_prune: list[int], expected: list[int]) -> None:
     result = keep_last_per_face(torch.tensor(to_prune, dtype=torch.bool), torch.tensor(face))
     assert result.tolist() == [bool(value) for value in expected]
 
