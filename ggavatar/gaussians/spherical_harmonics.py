@@ -17,7 +17,7 @@ from ggavatar.optim.parameters import Rows
 def color_from_frames(rows: Rows, pose: Callable[[Drive], Gaussians], scene: Scene) -> None:
     """Initialize the colors of rows from a few training frames.
 
-    Without samples in the scene, as when a trained avatar is opened, the colors stay as they are.
+    Colors do not change if the scene has no samples, as when a trained avatar is opened.
 
     Args:
         rows: The Gaussians; their column `sh` is overwritten.

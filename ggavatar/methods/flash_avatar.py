@@ -63,7 +63,7 @@ VISIBILITY_FRAMES = 24
 
 @dataclass(frozen=True)
 class Config:
-    """All settings of the method. Iterations are those of the authors' 150,000 and scale with the training."""
+    """All settings of the method. Iterations refer to the authors' 150,000 and scale with the training."""
 
     texels: int = 128
     """Texels along an edge of the texture (code; 256 in GGAvatar's comparison), if --max-gaussians allows."""

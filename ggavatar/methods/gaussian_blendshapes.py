@@ -130,7 +130,7 @@ class Config:
     perceptual_weight: float = 0.0
     """Weight of a VGG loss; the public code adds LPIPS on the data of NeRFBlendShape."""
     crop_side: int = 96
-    """Side of the crops that the VGG loss looks at, px (ours)."""
+    """Side of a crop for the VGG loss, px (ours)."""
     crop_probability: float = 0.1
     """Fraction of the steps with a crop (ours)."""
 
@@ -149,7 +149,7 @@ SHORT_TRAINING: dict[str, Any] = {
     "density_ramp": True,
     "alpha_weight": 1.0,
 }
-"""What a training of a few thousand steps on a CPU changes: like `SHORT_TRAINING` of our method in `ggavatar.py`."""
+"""Changes for trainings of a few thousand steps on a CPU, like `SHORT_TRAINING` of our method in `ggavatar.py`."""
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "without_consistency": {"consistency": False},

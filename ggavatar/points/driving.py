@@ -1,6 +1,6 @@
 """From drives to what canonical points need: blendshape coefficients, and transforms of joints and a static joint.
 
-In PointAvatar camera and torso are static while the head turns. Trackers that put the head pose into the camera keep
+Camera and torso are static in PointAvatar while the head turns. Trackers that put the head pose into the camera keep
 the head static instead; the static joint then is the torso in front of the camera.
 """
 

@@ -30,8 +30,8 @@ def deform(
 ) -> DeformedPoints:
     """Linear blend skinning of points from one pose to another.
 
-    With the blended canonical transform (A, a) and the blended posed transform (B, b), a point x maps to
-    B (A⁻¹ (x + offset − a) + c) + b. The correctives c are those of the pose minus those of the canonical pose.
+    A point x maps to B (A⁻¹ (x + offset − a) + c) + b, where (A, a) is the blended canonical transform and (B, b) the
+    blended posed one. The correctives c are those of the pose minus those of the canonical pose.
 
     References:
         PointAvatar (Zheng et al. 2023), Eq. 2–4, and its derivative by the product rule.

@@ -47,7 +47,7 @@ def avatar(toy_capture: Capture, toy_head: HeadModel) -> PointAvatar:
 
 
 def pictured(avatar: PointAvatar, drive: Drive) -> tuple[Frame, DiscRendering]:
-    """A drawing by the avatar of a white picture."""
+    """A gray frame and its rendering by the avatar."""
     camera = avatar.scene.cameras[0]
     drawn = rasterizer("cpu")(avatar.gaussians(drive), camera, torch.ones(3))
     assert isinstance(drawn, DiscRendering)

@@ -1,4 +1,4 @@
-"""The start at the head model: where points begin, and what the networks know before the first picture."""
+"""Initialization from the head model: initial points, and fitted networks before the first step."""
 
 from __future__ import annotations
 
