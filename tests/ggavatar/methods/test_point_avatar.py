@@ -46,7 +46,7 @@ def avatar(toy_capture: Capture, toy_head: HeadModel) -> PointAvatar:
     return build(Config(**QUICK), scene_of(toy_capture, toy_head))
 
 
-def pictured(avatar: PointAvatar, drive: Drive) -> tuple[Frame, DiscRendering]:
+def rendered(avatar: PointAvatar, drive: Drive) -> tuple[Frame, DiscRendering]:
     """A gray frame and its rendering by the avatar."""
     camera = avatar.scene.cameras[0]
     drawn = rasterizer("cpu")(avatar.gaussians(drive), camera, torch.ones(3))
@@ -80,7 +80,7 @@ def test_epochs_scale_with_the_training(toy_capture: Capture, toy_head: HeadMode
 
 
 def test_terms_by_hand(avatar: PointAvatar) -> None:
-    frame, drawn = pictured(avatar, avatar.scene.drives[3])
+    frame, drawn = rendered(avatar, avatar.scene.drives[3])
     terms = avatar.losses(frame, drawn, 1)
     assert set(terms) == {"l1", "mask", "distance", "eikonal", "skinning", "correctives", "expressions"}
     assert torch.isclose(terms["l1"], l1(drawn.image, frame.image))
@@ -92,10 +92,10 @@ def test_terms_by_hand(avatar: PointAvatar) -> None:
     target = torch.full((6,), 1 / 6) - torch.cat((torch.zeros(1), avatar.head.skinning_weights[0]))
     assert 0.2 * target.square().mean() < terms["skinning"] < 5 * target.square().mean()
     avatar.steps_done.fill_(10 * avatar.schedule.steps_per_epoch)
-    pictured(avatar, avatar.scene.drives[3])
+    rendered(avatar, avatar.scene.drives[3])
     assert torch.isclose(avatar.losses(frame, drawn, 1)["skinning"], terms["skinning"] / 2)
     avatar.steps_done.fill_(45 * avatar.schedule.steps_per_epoch)
-    pictured(avatar, avatar.scene.drives[3])
+    rendered(avatar, avatar.scene.drives[3])
     assert torch.isclose(avatar.losses(frame, drawn, 1)["expressions"], terms["expressions"] / 16)
 
 
@@ -104,7 +104,7 @@ def test_losses_reach_everything_that_learns(avatar: PointAvatar) -> None:
         for parameter in avatar.deformer.parameters():
             parameter += 0.02 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1))
     avatar.steps_done.fill_(30 * avatar.schedule.steps_per_epoch)
-    frame, drawn = pictured(avatar, avatar.scene.drives[3])
+    frame, drawn = rendered(avatar, avatar.scene.drives[3])
     torch.stack(list(avatar.losses(frame, drawn, 1).values())).sum().backward()
     silent = [name for name, value in avatar.named_parameters() if value.grad is None]
     assert not silent
@@ -180,7 +180,7 @@ def test_evaluation_draws_what_training_draws(avatar: PointAvatar) -> None:
 def test_rate_falls_to_its_share(toy_capture: Capture, toy_head: HeadModel) -> None:
     avatar = build(Config(**QUICK, rate_left=0.1), scene_of(toy_capture, toy_head, 100))
     for step, rate in ((50, 1e-4 * 0.1**0.5), (100, 1e-5)):
-        _, drawn = pictured(avatar, avatar.scene.drives[0])
+        _, drawn = rendered(avatar, avatar.scene.drives[0])
         avatar.after_backward(drawn, step)
         rates = [group["lr"] for optimizer in avatar.optimizers()[:2] for group in optimizer.param_groups]
         assert rates == pytest.approx([rate, rate])
