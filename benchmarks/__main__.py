@@ -1,4 +1,4 @@
-"""Run one benchmark and write its figures as JSON."""
+"""Runs one benchmark and writes its figures as JSON."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ NAMES = ("rasterizer", "step", "scaling", "evaluation", "preparation")
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
-    """Options of a run; every benchmark's `run(options)` reads what it needs."""
+    """Options of the command; every benchmark's `run(options)` uses those it needs."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks", description="Median and interquartile range of what we claim."
+        prog="python -m benchmarks",
+        description="Measure the published performance figures: medians and interquartile ranges.",
     )
-    parser.add_argument("name", choices=NAMES, help="which benchmark")
-    parser.add_argument("--json", type=Path, required=True, metavar="OUT", help="file to write; plots go beside it")
-    parser.add_argument("--repeats", type=int, default=0, help="timed rounds; 0 takes what suits the benchmark")
+    parser.add_argument("name", choices=NAMES, help="benchmark to run")
+    parser.add_argument(
+        "--json", type=Path, required=True, metavar="OUT", help="output file; plots are written beside it"
+    )
+    parser.add_argument("--repeats", type=int, default=0, help="timed rounds; 0 for the benchmark's default")
     parser.add_argument("--quick", action="store_true", help="small scenes, for continuous integration")
-    parser.add_argument("--threads", type=int, default=0, help="threads of the wall-clock figures; 0 takes all cores")
+    parser.add_argument("--threads", type=int, default=0, help="threads of the wall-clock figures; 0 for all cores")
     return parser.parse_args(arguments)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run, print and write."""
+    """Run the benchmark, print its figures and write them."""
     options = parse(sys.argv[1:] if arguments is None else arguments)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     figures = importlib.import_module(f"benchmarks.{options.name}").run(options)

@@ -1,4 +1,4 @@
-"""How fast folders of pictures are scored, and whether memory grows with their number."""
+"""Scoring speed for folders of images, and growth of memory with their number."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from skimage.data import astronaut
 
-from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
-from evaluate.protocols.protocol import named
+from benchmarks.measure import Timing, interleaved, peak_extra_megabytes, threads
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import FramePair, pair_folders
 from evaluate.scoring.score import learned_metrics, score
 from ggavatar.io.images import write_png
+from ggavatar.io.ordered_map import cores
 from ggavatar.pretrained.folders import model_folders
 
 PAIRS, SIZE = 200, 512
@@ -25,18 +26,18 @@ METRICS = {"psnr_ssim": ("psnr", "ssim"), "psnr_ssim_lpips_alex": ("psnr", "ssim
 
 
 def write_pairs(folder: Path, count: int, size: int) -> list[FramePair]:
-    """A portrait that wanders through the picture, and blurred renders of it, as PNG."""
+    """Write a portrait that moves across the image, and blurred predictions of it, as PNG."""
     portrait = cv2.resize(astronaut(), (size, size), interpolation=cv2.INTER_AREA)
     for frame in range(count):
         truth = np.roll(portrait, frame, axis=1)
         write_png(folder / "truth" / f"{frame:06d}.png", truth)
-        write_png(folder / "renders" / f"{frame:06d}.png", cv2.GaussianBlur(truth, (0, 0), 1.0))
-    return pair_folders(folder / "renders", folder / "truth")
+        write_png(folder / "predictions" / f"{frame:06d}.png", cv2.GaussianBlur(truth, (0, 0), 1.0))
+    return pair_folders(folder / "predictions", folder / "truth")
 
 
 def scoring(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> Callable[[], object] | None:
-    """A call that scores all pairs; None without the weights it needs."""
-    protocol = named("folders").override(metrics=names, table_metrics=names)
+    """A call that scores all pairs; None if weights are missing."""
+    protocol = protocol_by_name("folders").override(metrics=names, table_metrics=names)
     learned = learned_metrics(protocol, model_folders())
     if learned and learned.missing:
         return None
@@ -44,7 +45,7 @@ def scoring(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> C
 
 
 def figures(timing: Timing, count: int) -> dict[str, float]:
-    """What a user asks: pairs a second, and what one costs."""
+    """Pairs per second and CPU time per pair."""
     return {
         "pairs_per_second_wall": round(count / timing.wall_ms * 1e3, 2),
         "cpu_ms_per_pair": round(timing.cpu_ms / count, 2),
@@ -54,15 +55,15 @@ def figures(timing: Timing, count: int) -> dict[str, float]:
 
 
 def memory(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> dict[str, float | None]:
-    """Memory that a quarter of the pairs needs beside the networks, and what all of them then add to it, MB."""
-    some, whole = scoring(pairs[: len(pairs) // 4], names, workers), scoring(pairs, names, workers)
-    if some is None or whole is None:
+    """Memory for a quarter of the pairs, in addition to the networks, and what all pairs then add to it, MB."""
+    quarter, whole = scoring(pairs[: len(pairs) // 4], names, workers), scoring(pairs, names, workers)
+    if quarter is None or whole is None:
         return {}
-    return {"quarter_of_pairs_mb": peak_extra_megabytes(some), "all_pairs_add_mb": peak_extra_megabytes(whole)}
+    return {"quarter_of_pairs_mb": peak_extra_megabytes(quarter), "all_pairs_add_mb": peak_extra_megabytes(whole)}
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """Both sets of metrics; LPIPS is left out where its weights are not at hand ($GGAVATAR_MODELS)."""
+    """Measure both sets of metrics; LPIPS is skipped without its weights ($GGAVATAR_MODELS)."""
     count, size = (QUICK_PAIRS, QUICK_SIZE) if options.quick else (PAIRS, SIZE)
     workers = options.threads or cores()
     with tempfile.TemporaryDirectory() as folder, threads(workers):

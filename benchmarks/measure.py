@@ -1,4 +1,4 @@
-"""Timing that survives a shared machine: candidates in turn, medians, CPU time beside wall time, and what it ran on."""
+"""Timing on a shared machine: interleaved candidates, medians, CPU and wall time, and a record of the environment."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ggavatar.io.ordered_map import cores
+
 
 @dataclass(frozen=True)
 class Timing:
-    """Milliseconds per call: medians and interquartile ranges."""
+    """Milliseconds per call: medians, interquartile ranges and minima."""
 
     cpu_ms: float
     cpu_iqr_ms: float
@@ -30,14 +32,14 @@ class Timing:
     rounds: int
 
     def as_dict(self) -> dict[str, float]:
-        """For JSON, rounded to what a clock can tell."""
+        """Values for JSON, rounded to the resolution of the clock."""
         return {name: round(value, 3) for name, value in asdict(self).items()}
 
 
 def interleaved(candidates: dict[str, Callable[[], object]], rounds: int, warm_up: int = 1) -> dict[str, Timing]:
-    """Call the candidates A B C A B C …, so that a change of the machine's mood hits all of them.
+    """Time the candidates in the order A B C A B C …, so that changes in machine load affect all of them.
 
-    Every turn is one untimed call and a timed one, so that nobody pays for the heap that its predecessor left.
+    Every turn is an untimed and a timed call, so that none pays for the heap left by its predecessor.
     """
     samples: dict[str, list[tuple[float, float]]] = {name: [] for name in candidates}
     for number in range(warm_up + rounds):
@@ -69,21 +71,16 @@ def threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def peak_extra_megabytes(call: Callable[[], object]) -> float | None:
-    """How far the resident memory rises above its level before, in MB; None where the system cannot tell."""
+    """Increase of peak resident memory during a call, MiB; None if the system does not report it."""
     clear = Path("/proc/self/clear_refs")
     if not clear.exists():
         return None
     gc.collect()
-    clear.write_text("5")  # resets the high-water mark
+    clear.write_text("5")  # resets the peak
     before = _status("VmRSS")
-    kept = call()
-    del kept
+    result = call()
+    del result
     return round((_status("VmHWM") - before) / 1024, 1)
 
 
@@ -96,7 +93,7 @@ def _status(field: str) -> float:
 
 
 def environment() -> dict[str, object]:
-    """Processor, instruction set, load, threads and versions."""
+    """Processor, instruction set, cores, load and versions."""
     return {
         "python": platform.python_version(),
         "machine": platform.machine(),
@@ -125,7 +122,7 @@ def _processor() -> str:
 
 
 def _instruction_set() -> str:
-    """The widest vectors the kernels are compiled for; $NUMBA_CPU_NAME narrows them."""
+    """The widest vector instructions the kernels are compiled for; $NUMBA_CPU_NAME restricts them."""
     from llvmlite import binding
 
     if os.environ.get("NUMBA_CPU_NAME"):

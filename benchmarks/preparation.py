@@ -1,4 +1,4 @@
-"""How many frames a second `ggavatar-prep` prepares, stage by stage, and how much memory long videos need."""
+"""Speed of `ggavatar-prep` by stage, and its memory on long videos."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ import av
 import cv2
 import numpy as np
 
-from benchmarks.measure import cores
 from ggavatar.errors import InputError
+from ggavatar.io.ordered_map import cores
 from preprocess.pipeline.pipeline import STAGES
 
 CLIP = "talk_450.mp4"
-"""Clip of $GGAVATAR_TEST_DATA/clips that is prepared; the long videos go through it forwards and backwards."""
+"""Clip in $GGAVATAR_TEST_DATA/clips to prepare; long videos repeat it forward and backward."""
 QUICK_FRAMES, QUICK_LENGTHS = 60, (60, 120)
 LENGTHS = (500, 1000, 2000)
-"""Frames of the videos whose memory is measured; $GGAVATAR_LONG_FRAMES adds one more: 7500 are five minutes."""
+"""Lengths of the videos for the memory measurement, frames; $GGAVATAR_LONG_FRAMES adds one (7500 are 5 minutes)."""
 LONG_FRAMES = "GGAVATAR_LONG_FRAMES"
 WIDTH, HEIGHT, RATE = 1920, 1080, 25
 GOAL_STAGES = ("masks", "tracking")
-"""Masks, landmarks and pose: what the goal of 15 frames a second speaks of; tracking makes the head, too."""
+"""Masks, landmarks and pose, the stages of the goal of 15 frames per second; tracking also builds the head."""
 SAMPLE_SECONDS = 0.1
 COMMAND = "import sys; from preprocess.cli.prep import main; sys.exit(main(sys.argv[1:]))"
 
 
 def clip_path() -> Path:
-    """The clip; `InputError` where the test data are not at hand."""
+    """Path of the clip; `InputError` without the test data."""
     folder = os.environ.get("GGAVATAR_TEST_DATA")
     path = Path(folder or ".") / "clips" / CLIP
     if not folder or not path.is_file():
@@ -45,16 +45,16 @@ def clip_path() -> Path:
 
 
 def prepare(video: Path, folder: Path, frames: int | None = None) -> dict[str, Any]:
-    """Run the command as a user would: frames, seconds of the stages, and the most memory its processes had, MiB."""
-    kept = ["--frames", f":{frames}"] if frames else []
-    command = [sys.executable, "-c", COMMAND, str(video), "-o", str(folder), "--offline", *kept]
+    """Run the command in a process: number of frames, seconds by stage, and peak memory of its processes, MiB."""
+    subset = ["--frames", f":{frames}"] if frames else []
+    command = [sys.executable, "-c", COMMAND, str(video), "-o", str(folder), "--offline", *subset]
     began = time.perf_counter()
-    with (folder.parent / "said.txt").open("w+", encoding="utf-8") as said:
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said) as process:
-            peak = watched_megabytes(process)
+    with (folder.parent / "stderr.txt").open("w+", encoding="utf-8") as stderr:
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stderr) as process:
+            peak = peak_megabytes(process)
         seconds = time.perf_counter() - began
-        said.seek(0)
-        text = said.read()
+        stderr.seek(0)
+        text = stderr.read()
     if process.returncode:
         raise RuntimeError(f"ggavatar-prep {video} failed: {text}")
     stages = stage_seconds(text)
@@ -62,42 +62,42 @@ def prepare(video: Path, folder: Path, frames: int | None = None) -> dict[str, A
 
 
 def stage_seconds(text: str) -> dict[str, Any]:
-    """Seconds of each stage, by name, and the frames counted, from what the command says."""
+    """Seconds by stage name, and the number of frames, parsed from the command's output."""
     found: dict[str, Any] = {"count": 0}
     for stage in STAGES:
         line = re.search(rf"^{re.escape(stage.title)}: (?:(\d+) )?([\d.]+) s$", text, re.MULTILINE)
         if line is None:
-            raise RuntimeError(f"expected the seconds of {stage.title!r} in what ggavatar-prep says: {text}")
+            raise RuntimeError(f"expected the seconds of {stage.title!r} in the output of ggavatar-prep, found: {text}")
         found[stage.name] = float(line[2])
         found["count"] = max(found["count"], int(line[1] or 0))
     return found
 
 
-def watched_megabytes(process: subprocess.Popen[bytes]) -> float | None:
-    """The most memory that a process and all it has started held at once, MiB; waits for its end."""
+def peak_megabytes(process: subprocess.Popen[bytes]) -> float | None:
+    """Wait for a process; return the peak memory of it and its descendants together, MiB."""
     if not Path("/proc/self/status").exists():
         process.wait()
         return None
-    most = 0.0
+    peak = 0.0
     while process.poll() is None:
-        most = max(most, sum(resident_megabytes(each) for each in family(process.pid)))
+        peak = max(peak, sum(resident_megabytes(each) for each in process_tree(process.pid)))
         time.sleep(SAMPLE_SECONDS)
-    return round(most, 1)
+    return round(peak, 1)
 
 
-def family(pid: int) -> Iterator[int]:
-    """A process and its descendants."""
+def process_tree(pid: int) -> Iterator[int]:
+    """Ids of a process and its descendants."""
     yield pid
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
     except OSError:
         return
     for child in children:
-        yield from family(int(child))
+        yield from process_tree(int(child))
 
 
 def resident_megabytes(pid: int) -> float:
-    """The highest resident memory a process has had so far, MiB; 0 once it is gone."""
+    """Peak resident memory of a process so far, MiB; 0 once it has ended."""
     try:
         status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
     except OSError:
@@ -107,7 +107,7 @@ def resident_megabytes(pid: int) -> float:
 
 
 def wide_frames(clip: Path, count: int) -> Iterator[np.ndarray]:
-    """The clip's first frames and the same backwards, RGB, in the middle of a wide picture."""
+    """The clip's first frames, forward and backward, RGB, centered in a wide image."""
     with av.open(str(clip)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in islice(container.decode(video=0), count)]
     side = (WIDTH - HEIGHT) // 2
@@ -117,7 +117,7 @@ def wide_frames(clip: Path, count: int) -> Iterator[np.ndarray]:
 
 
 def encode(frames: Iterator[np.ndarray], path: Path) -> None:
-    """Write H.264 without frames that depend on later ones, so that the video can be repeated packet by packet."""
+    """Write H.264 without B-frames, so that the video can be repeated packet by packet."""
     with av.open(str(path), "w") as container:
         stream: Any = container.add_stream("libx264", rate=RATE, options={"preset": "ultrafast", "bf": "0"})
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
@@ -127,7 +127,7 @@ def encode(frames: Iterator[np.ndarray], path: Path) -> None:
 
 
 def repeat(short: Path, path: Path, count: int) -> None:
-    """A video of `count` frames that plays a short one again and again, not encoded anew."""
+    """Write a video of `count` frames that repeats a short one without re-encoding."""
     with av.open(str(short)) as source, av.open(str(path), "w") as target:
         given = source.streams.video[0]
         stream = target.add_stream_from_template(given)
@@ -141,36 +141,36 @@ def repeat(short: Path, path: Path, count: int) -> None:
 
 
 def memory(clip: Path, folder: Path, lengths: tuple[int, ...], own: int) -> dict[str, Any]:
-    """Preparing 1080p videos of several lengths."""
+    """Figures for preparing 1080p videos of several lengths."""
     short, found = folder / "short.mp4", {}
     encode(wide_frames(clip, own), short)
     for length in lengths:
         with tempfile.TemporaryDirectory(dir=folder) as place:
             video = Path(place) / "video.mp4"
             repeat(short, video, length)
-            found[str(length)] = rated(prepare(video, Path(place) / "capture"))
+            found[str(length)] = with_rates(prepare(video, Path(place) / "capture"))
     return found
 
 
-def rated(run: dict[str, Any]) -> dict[str, Any]:
-    """Frames a second: for the whole command, and for masks, landmarks and pose alone."""
-    narrow = sum(run["stages"][name] for name in GOAL_STAGES)
+def with_rates(run: dict[str, Any]) -> dict[str, Any]:
+    """The figures of a run with frames per second: of the whole command, and of masks, landmarks and pose alone."""
+    goal_seconds = sum(run["stages"][name] for name in GOAL_STAGES)
     rates = {
         "frames_per_second": round(run["frames"] / run["seconds"], 2),
-        "masks_landmarks_pose_frames_per_second": round(run["frames"] / narrow, 2),
+        "masks_landmarks_pose_frames_per_second": round(run["frames"] / goal_seconds, 2),
     }
     return run | rates
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """The clip at 512², several times, and the memory that 1080p videos of several lengths take."""
+    """Measure the clip at 512×512 px several times, and the memory for 1080p videos of several lengths."""
     clip, quick = clip_path(), options.quick
     extra = int(os.environ.get(LONG_FRAMES, "0"))
     lengths = (*(QUICK_LENGTHS if quick else LENGTHS), *([extra] if extra else []))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rounds = [
-            rated(prepare(clip, folder / str(number), QUICK_FRAMES if quick else None))
+            with_rates(prepare(clip, folder / str(number), QUICK_FRAMES if quick else None))
             for number in range(options.repeats or (1 if quick else 3))
         ]
         long = memory(clip, folder, lengths, QUICK_FRAMES if quick else 500)

@@ -1,4 +1,4 @@
-"""Our CPU rasteriser beside a tiled one in plain torch and beside the reference: forward and backward, in turn."""
+"""The CPU rasterizer against a tiled one in plain torch and against the reference, forward and backward."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from collections.abc import Callable
 import torch
 
 from benchmarks import torch_tiled
-from benchmarks.measure import Timing, cores, interleaved, peak_extra_megabytes, threads
+from benchmarks.measure import Timing, interleaved, peak_extra_megabytes, threads
 from benchmarks.scenes import FIELDS, head
 from ggavatar.core import Camera, Gaussians, Rasterizer
+from ggavatar.io.ordered_map import cores
 from ggavatar.render import reference
 from ggavatar.render.cpu import rasterizer
 
@@ -20,7 +21,7 @@ MEMORY_SCENE = (100_000, 512)
 WHITE = torch.ones(3)
 
 
-def step(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callable[[], None]:
+def step(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callable[[], object]:
     """One forward and backward pass with a fixed gradient of the image."""
     incoming = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
 
@@ -32,7 +33,7 @@ def step(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callabl
     return call
 
 
-def forward(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callable[[], None]:
+def forward(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Callable[[], object]:
     """One forward pass."""
 
     def call() -> None:
@@ -42,7 +43,7 @@ def forward(rasterize: Rasterizer, gaussians: Gaussians, camera: Camera) -> Call
 
 
 def compare(count: int, size: int, rounds: int, wall_threads: int) -> dict[str, object]:
-    """All candidates on one scene."""
+    """Time all candidates on one scene."""
     gaussians, camera = head(count, size)
     difference = agreement(gaussians, camera)
     candidates = {
@@ -53,10 +54,10 @@ def compare(count: int, size: int, rounds: int, wall_threads: int) -> dict[str, 
     }
     with threads(1):
         single = interleaved(candidates, rounds)
-        ours = many(candidates["cpu"], rounds)
+        ours = repeated(candidates["cpu"], rounds)
     with threads(wall_threads):
         parallel = interleaved({name: candidates[name] for name in ("cpu", "torch_tiled")}, rounds)
-        ours_parallel = many(candidates["cpu"], rounds)
+        ours_parallel = repeated(candidates["cpu"], rounds)
     return {
         "gaussians": count,
         "size": size,
@@ -72,23 +73,23 @@ def compare(count: int, size: int, rounds: int, wall_threads: int) -> dict[str, 
     }
 
 
-def many(call: Callable[[], object], rounds: int) -> Timing:
-    """Our backend alone, many times, as in training: nobody else empties the caches in between."""
+def repeated(call: Callable[[], object], rounds: int) -> Timing:
+    """The CPU backend alone, repeatedly as in training, with warm caches."""
     return interleaved({"cpu": call}, 4 * rounds, warm_up=2)["cpu"]
 
 
 @torch.no_grad()
 def agreement(gaussians: Gaussians, camera: Camera) -> float:
-    """Mean absolute difference of our image and the tiled one; a ratio means nothing if they draw different things."""
+    """Mean absolute difference of our image and the tiled one; timings compare only if the images agree."""
     found, expected = rasterizer.rasterize(gaussians, camera, WHITE), torch_tiled.rasterize(gaussians, camera, WHITE)
     difference = float((found.image - expected.image).abs().mean())
     if difference > 1e-4:
-        raise RuntimeError(f"the rasterisers differ by {difference:.1e}: the comparison would be void")
+        raise RuntimeError(f"the rasterizers differ by {difference:.1e}: the comparison would be meaningless")
     return difference
 
 
 def memory(count: int, size: int) -> dict[str, object]:
-    """Extra memory of one step, its returned gradients included; the kernels are compiled before."""
+    """Additional memory of one step including its gradients; the kernels are compiled before."""
     step(rasterizer.rasterize, *head(100, 32))()
     gaussians, camera = head(count, size)
     extra = peak_extra_megabytes(step(rasterizer.rasterize, gaussians, camera))
@@ -97,7 +98,7 @@ def memory(count: int, size: int) -> dict[str, object]:
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """The memory of a step, measured before anything else has grown the heap, and the figures of all scenes."""
+    """Measure the memory of a step, before anything else grows the heap, and then time all scenes."""
     scenes, largest = (QUICK_SCENES, QUICK_SCENES[-1]) if options.quick else (SCENES, MEMORY_SCENE)
     used = memory(*largest)
     rounds, wall_threads = options.repeats or 5, options.threads or cores()

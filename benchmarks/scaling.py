@@ -1,4 +1,4 @@
-"""Cost of a step against the number of Gaussians and of pixels, with a plot."""
+"""Cost of a step as a function of the number of Gaussians and of pixels, with a plot."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def cost(count: int, size: int, rounds: int) -> dict[str, float]:
 
 
 def exponent(amounts: list[float], costs: list[float]) -> float:
-    """Slope in the log-log plot: 1 is linear."""
+    """Slope in the log-log plot; 1 is linear."""
     return round(float(np.polyfit(np.log(amounts), np.log(costs), 1)[0]), 3)
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """Both sweeps, their exponents, and the plot beside the JSON file."""
+    """Measure both dependencies with their exponents, and write the plot beside the JSON file."""
     rounds = options.repeats or 7
     counts, sizes = (COUNTS[:2], SIZES[:2]) if options.quick else (COUNTS, SIZES)
     by_count = [cost(count, BASE_SIZE, rounds) for count in counts]
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
 
 
 def plot(by_count: list[dict[str, float]], by_size: list[dict[str, float]], path: Path) -> None:
-    """Log-log curves with a linear slope for comparison."""
+    """Write log-log curves with a linear slope for comparison."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,4 +1,4 @@
-"""A training step and each of its pieces beside the twin in plain torch, forward and backward, in turn."""
+"""A training step and each compiled component against its counterpart in plain torch, forward and backward."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from benchmarks.measure import Timing, cores, interleaved, threads
+from benchmarks.measure import Timing, interleaved, threads
 from benchmarks.step_scene import StepScene
 from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
+from ggavatar.io.ordered_map import cores
 from ggavatar.losses.dssim import image_terms, image_terms_in_torch
 from ggavatar.losses.terms import (
     log_scale_regularizer,
@@ -28,8 +29,8 @@ QUICK_COUNT, QUICK_SIZE = 5_000, 128
 Call = Callable[[], object]
 
 
-def pieces(scene: StepScene) -> dict[str, tuple[Call, Call]]:
-    """Every compiled piece and its twin on the same inputs."""
+def components(scene: StepScene) -> dict[str, tuple[Call, Call]]:
+    """Every compiled component and its torch counterpart on the same inputs."""
     generator = torch.Generator().manual_seed(1)
     image = torch.rand(scene.size, scene.size, 3, generator=generator).requires_grad_()
     rows = scene.rows
@@ -63,12 +64,12 @@ def pieces(scene: StepScene) -> dict[str, tuple[Call, Call]]:
             backward(lambda: refine(means, quats, scales, Offsets(offsets)), shape),
             backward(lambda: refine_in_torch(means, quats, scales, Offsets(offsets)), shape),
         ),
-        **field_pieces(scene, drawn[3], drawn[4]),
+        **field_components(scene, drawn[3], drawn[4]),
     }
 
 
-def field_pieces(scene: StepScene, upstream: Tensor, to_features: Tensor) -> dict[str, tuple[Call, Call]]:
-    """The tri-plane, the network behind it, and both with the latent network."""
+def field_components(scene: StepScene, upstream: Tensor, to_features: Tensor) -> dict[str, tuple[Call, Call]]:
+    """The tri-plane, the network after it, and both with the latent network."""
     adjuster, x = scene.adjuster, scene.positions()
     field = adjuster.field
     assert isinstance(field, HashTriplane)
@@ -96,7 +97,7 @@ def field_pieces(scene: StepScene, upstream: Tensor, to_features: Tensor) -> dic
 
 
 def backward(outputs: Callable[[], Sequence[Tensor]], upstream: Sequence[Tensor] | None = None) -> Call:
-    """Forward and backward of some outputs."""
+    """A call that computes outputs and backpropagates through them."""
 
     def call() -> None:
         torch.autograd.backward(tuple(outputs()), upstream)
@@ -104,17 +105,17 @@ def backward(outputs: Callable[[], Sequence[Tensor]], upstream: Sequence[Tensor]
     return call
 
 
-def single_pieces(scene: StepScene) -> dict[str, Call]:
-    """Pieces for which torch is good enough, and the rasteriser for comparison."""
+def single_components(scene: StepScene) -> dict[str, Call]:
+    """Components that stay in torch, and the rasterizer for comparison."""
     incoming = torch.randn(scene.size, scene.size, 3, generator=torch.Generator().manual_seed(2))
     for parameter in [*scene.rows.values(), *scene.adjuster.parameters()]:
         parameter.grad = torch.zeros_like(parameter)
 
-    def rasterise() -> None:
-        scene.draw(adjusted=False).image.backward(incoming)
+    def rasterize() -> None:
+        scene.render(adjusted=False).image.backward(incoming)
 
     return {
-        "bind_and_rasterise": rasterise,
+        "bind_and_rasterise": rasterize,
         "skinned_head_and_frames": scene.posed_frames,
         "adam_of_rows": scene.optimizers[0].step,
         "adam_of_adjuster": scene.optimizers[1].step,
@@ -122,29 +123,29 @@ def single_pieces(scene: StepScene) -> dict[str, Call]:
 
 
 def compare(scene: StepScene, rounds: int) -> dict[str, object]:
-    """Every piece at one thread: ours, the twin, and how many times faster ours is in CPU time."""
+    """Time every component on one thread: ours, its torch counterpart, and the ratio of CPU times."""
     found: dict[str, object] = {}
-    for name, (ours, twin) in pieces(scene).items():
-        timing = interleaved({"compiled": ours, "torch": twin}, rounds)
+    for name, (ours, in_plain_torch) in components(scene).items():
+        timing = interleaved({"compiled": ours, "torch": in_plain_torch}, rounds)
         found[name] = {kind: value.as_dict() for kind, value in timing.items()} | {"ratio": ratio(timing)}
-    for name, call in single_pieces(scene).items():
+    for name, call in single_components(scene).items():
         found[name] = {"ours": interleaved({name: call}, rounds)[name].as_dict()}
     return found
 
 
 def ratio(timing: dict[str, Timing]) -> float:
-    """CPU time of the twin over ours."""
+    """CPU time of the torch counterpart over ours."""
     return round(timing["torch"].cpu_ms / timing["compiled"].cpu_ms, 1)
 
 
 def whole_steps(scene: StepScene, rounds: int) -> dict[str, object]:
-    """Both phases of the schedule, without a perceptual term."""
+    """Time whole steps in both phases of the schedule, without a perceptual term."""
     phases = {"neutral": lambda: scene.step(adjusted=False), "adjusted": lambda: scene.step(adjusted=True)}
     return {name: interleaved({name: call}, rounds, warm_up=3)[name].as_dict() for name, call in phases.items()}
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """Pieces at one thread, whole steps at one thread and at all cores."""
+    """Measure components on one thread, and whole steps on one thread and on all cores."""
     wall_threads, rounds = options.threads or cores(), options.repeats or 7
     scene = StepScene(QUICK_COUNT, QUICK_SIZE) if options.quick else StepScene(COUNT, SIZE)
     with threads(1):

@@ -21,14 +21,14 @@ from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.render.cpu import rasterizer
 
 DISTANCE = 1.0
-"""Between head and camera, m."""
+"""Distance between head and camera, m."""
 
 
 class StepScene:
-    """Everything that a step reads and learns.
+    """The state of a training step: head, Gaussians, adjuster, camera, target and optimizers.
 
     Args:
-        count: Gaussians, drawn evenly over the triangles.
+        count: Number of Gaussians, distributed uniformly over the triangles.
         size: Width and height of the image, px.
     """
 
@@ -51,25 +51,25 @@ class StepScene:
         self.optimizers = [_adam(self.rows), _adam(self.adjuster)]
 
     def positions(self) -> Tensor:
-        """Neutral positions, the field's keys."""
+        """Neutral positions, at which the field is queried."""
         with torch.no_grad():
             return self.placed(self.neutral)[0]
 
     def placed(self, frames: TriangleFrames) -> tuple[Tensor, Tensor, Tensor]:
-        """The Gaussians on some triangles."""
+        """The Gaussians on given triangle frames."""
         return bind(self.rows["means"], self.rows["quats"], self.rows["log_scales"], self.face, frames)
 
     def posed_frames(self) -> TriangleFrames:
-        """The triangles of the head in an expression."""
+        """The triangle frames of the head with an expression."""
         with torch.no_grad():
             return triangle_frames(self.head.vertices(self.drive), self.head.faces)
 
     def offsets(self) -> Offsets:
-        """What the adjuster adds."""
+        """The adjuster's offsets."""
         return self.adjuster(self.positions(), self.condition)
 
-    def draw(self, adjusted: bool) -> Rendering:
-        """The image of one phase."""
+    def render(self, adjusted: bool) -> Rendering:
+        """The rendering in one phase of the schedule."""
         means, quats, scales = self.placed(self.posed_frames() if adjusted else self.neutral)
         if adjusted:
             means, quats, scales = refine(means, quats, scales, self.offsets())
@@ -77,35 +77,35 @@ class StepScene:
         gaussians = Gaussians(means, quats, scales, opacities, self.rows["sh"], 3)
         return rasterizer.rasterize(gaussians, self.camera, self.background)
 
-    def objective(self, drawn: Rendering) -> Tensor:
+    def objective(self, rendering: Rendering) -> Tensor:
         """The paper's objective without the perceptual term."""
-        visible = drawn.radii > 0
-        colour = sum(image_terms(drawn.image, self.kept_target, 0.2))
+        visible = rendering.radii > 0
+        color = sum(image_terms(rendering.image, self.kept_target, 0.2))
         position = position_regularizer(self.rows["means"], visible)
-        return colour + 0.01 * position + log_scale_regularizer(self.rows["log_scales"], visible)
+        return color + 0.01 * position + log_scale_regularizer(self.rows["log_scales"], visible)
 
     def step(self, adjusted: bool) -> None:
         """Forward, backward and Adam."""
-        self.objective(self.draw(adjusted)).backward()
+        self.objective(self.render(adjusted)).backward()
         for optimizer in self.optimizers if adjusted else self.optimizers[:1]:
             optimizer.step()
             optimizer.zero_grad(set_to_none=True)
 
 
 def _first_rows(count: int, faces: int, generator: torch.Generator) -> dict[str, nn.Parameter]:
-    """Flat Gaussians that cover their triangles, opacities the sigmoid of N(0.6, 1.6), harmonics of degree 3."""
+    """Flat Gaussians that cover their triangles; opacities are the sigmoid of N(0.6, 1.6), harmonics of degree 3."""
 
-    def draw(*shape: int) -> Tensor:
+    def normal(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator)
 
     flat = torch.tensor([1.0, 0.25, 1.0])
     spread = 0.62 * (faces / count) ** 0.5
     values = {
-        "means": 0.4 * draw(count, 3) * flat,
-        "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]) + 0.1 * draw(count, 4),
-        "log_scales": (spread * flat).log() + 0.3 * draw(count, 3),
-        "opacity_logits": 0.6 + 1.6 * draw(count),
-        "sh": 0.1 * draw(count, 16, 3),
+        "means": 0.4 * normal(count, 3) * flat,
+        "quats": torch.tensor([1.0, 0.0, 0.0, 0.0]) + 0.1 * normal(count, 4),
+        "log_scales": (spread * flat).log() + 0.3 * normal(count, 3),
+        "opacity_logits": 0.6 + 1.6 * normal(count),
+        "sh": 0.1 * normal(count, 16, 3),
     }
     return {name: nn.Parameter(value) for name, value in values.items()}
 
@@ -120,5 +120,5 @@ def _camera(head: HeadModel, size: int) -> Camera:
 
 
 def _adam(module: nn.Module) -> torch.optim.Optimizer:
-    """A rate so small that hundreds of steps leave the scene as it is."""
+    """Adam with a rate so small that hundreds of steps leave the scene practically unchanged."""
     return torch.optim.Adam(module.parameters(), lr=1e-7, eps=1e-15, fused=True)

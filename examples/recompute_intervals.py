@@ -1,4 +1,4 @@
-"""Compute the paired differences of a table and their intervals again: python recompute_intervals.py table.json.
+"""Recompute the paired differences of a table and their intervals: python recompute_intervals.py table.json.
 
 A circular block bootstrap of the result files beside the table, stratified by subject (docs/evaluation.md, Tables).
 """

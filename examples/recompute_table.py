@@ -1,6 +1,6 @@
-"""Compute the numbers of a table again from the result files beside it: python recompute_table.py table.json.
+"""Recompute the numbers of a table from the result files beside it: python recompute_table.py table.json.
 
-Paired differences and their intervals are the matter of recompute_intervals.py.
+Paired differences and their intervals are recomputed by recompute_intervals.py.
 """
 
 import json
@@ -13,8 +13,8 @@ from statistics import fmean, stdev
 import pandas as pd
 
 
-def statistic(result, kind, metric):
-    """One number of one result: a cost, or made of the values per frame, which are null where there is none."""
+def statistic(result: dict, kind: str, metric: str) -> float:
+    """One statistic of one result: a cost, or computed from the values per frame (null if not measured)."""
     if kind == "efficiency":
         return result["efficiency"][metric]
     values = pd.Series(result["per_frame"].get(metric.replace("psnr_pooled", "mse")), dtype=float).dropna()

@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 NAMES = [str(path.relative_to(ROOT)) for path in SOURCES]
+ROOMS = sorted({path.parent for path in SOURCES} - {ROOT / package for package in PACKAGES})
 UNPICKLER = "ggavatar/io/restricted_pickle.py"
 
 
@@ -79,6 +80,15 @@ def test_a_room_without_a_place_is_noticed(copied_tree: Path) -> None:
     assert checked.returncode == 1 and "attic" in checked.stdout
 
 
+@pytest.mark.parametrize("folder", ROOMS, ids=lambda folder: str(folder.relative_to(ROOT)))
+def test_every_room_is_on_the_map(folder: Path) -> None:
+    """docs/architecture.md names it, in the part on its package."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    package, *_ = folder.relative_to(ROOT).parts
+    part = page.partition(f"\n## {package}:")[2].partition("\n## ")[0]
+    assert f"`{folder.name}/`" in part
+
+
 def test_rooms_can_be_overlooked() -> None:
     """No folder holds more than 25 files, half of them at most 9, and package roots next to none."""
     sizes = {folder: len(list(folder.glob("*.py"))) for folder in {path.parent for path in SOURCES}}
@@ -89,7 +99,8 @@ def test_rooms_can_be_overlooked() -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_package_init_is_a_docstring(package: str) -> None:
-    for path in (ROOT / package).rglob("__init__.py"):
+    """The root of ggavatar also has `__version__`, lazily."""
+    for path in set((ROOT / package).rglob("__init__.py")) - {ROOT / "ggavatar" / "__init__.py"}:
         body = ast.parse(path.read_text()).body
         assert len(body) == 1 and isinstance(body[0], ast.Expr), path
 
@@ -153,6 +164,14 @@ def test_training_core_needs_few_packages(module: str) -> None:
     code = f"import sys, {module}; print(sorted({heavy!r} & set(sys.modules)))"
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
     assert ran.stdout.strip() == "[]"
+
+
+def test_version() -> None:
+    import ggavatar
+
+    assert ggavatar.__version__ == importlib.metadata.version("ggavatar")
+    with pytest.raises(AttributeError, match="no attribute 'spam'"):
+        _ = ggavatar.spam
 
 
 def test_our_evaluate_is_the_one_imported() -> None:

@@ -1,4 +1,4 @@
-"""ggavatar-eval: score, tabulate, gate. Starts without torch; runs and learned metrics import it when needed."""
+"""The command ggavatar-eval: scores, tables, figures, gates. Imports torch only for runs and learned metrics."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from typing import Any
 from rich.console import Console
 
 from evaluate.gates.checks import Check, to_github, write_junit
-from evaluate.gates.limits import limits_of
-from evaluate.metrics.faces import FaceMetrics
+from evaluate.gates.limits import read_limits
 from evaluate.options import Options, parse
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.scoring.frame_pairs import pair_folders
-from evaluate.scoring.score import Labels, Perceptual, face_metrics, learned_metrics, score
+from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
 from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.run import run_command
@@ -27,7 +26,7 @@ from ggavatar.formats.source_options import is_gaussian_file, results_folder
 from ggavatar.pretrained.folders import model_folders
 
 WIDTH = 160
-"""Columns of a table that is not printed on a terminal."""
+"""Width of a table that is not printed on a terminal, characters."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -36,15 +35,15 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _evaluate(options: Options) -> int:
-    """Score everything named, write and print the tables, then check the gates."""
+    """Score the given runs or folders, write and print tables and figures, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
-    limits = limits_of(options.gates)
-    evaluations, written = _gather(options, console)
+    limits = read_limits(options.gates)
+    evaluations, written = _collect(options, console)
     tables = build_tables(evaluations, options.layout, options.with_paper)
     folder = _table_folder(options)
-    written += write_tables(tables, folder, _behind(options, evaluations, folder))
+    written += write_tables(tables, folder, _result_files(options, evaluations, folder))
     if not options.no_report:
-        written += _visuals(options, evaluations, folder, console)
+        written += _write_figures(options, evaluations, folder, console)
     if options.table:
         console.print()
         for table in (table for table in tables if table.name not in ("detail", "sources")):
@@ -61,30 +60,30 @@ def _evaluate(options: Options) -> int:
     return _finish(options, evaluations, written, checks)
 
 
-def _behind(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
-    """The result files behind the tables: the one that was scored or read, or copies of several beside the table."""
+def _result_files(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
+    """The result files behind the tables: the single one scored or read, or copies of several beside the table."""
     if len(evaluations) != 1 or options.labels:
         return write_copies(evaluations, folder)
     if options.folders.pred:
         return [folder / METRICS_FILE]
     path = results_folder(options.runs[0])
-    return [path if path.is_file() else _home(path, evaluations[0]) / METRICS_FILE]
+    return [path if path.is_file() else _metrics_folder(path, evaluations[0]) / METRICS_FILE]
 
 
 def _finish(options: Options, evaluations: list[Evaluation], written: list[Path], checks: list[Check]) -> int:
-    """Annotations, the summary line and the exit code."""
+    """Print annotations and the summary line, and return the exit code."""
     if options.gates.github:
         sys.stdout.write(to_github(checks))
     if options.json:
         sys.stdout.write(json.dumps(_summary(evaluations, written, checks), allow_nan=False) + "\n")
     sys.stdout.flush()
-    if fallen := [check for check in checks if not check.passed]:
-        raise GateError("; ".join(f"{check.case}: {check.message}" for check in fallen))
+    if failed := [check for check in checks if not check.passed]:
+        raise GateError("; ".join(f"{check.case}: {check.message}" for check in failed))
     return 0
 
 
-def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[Path]]:
-    """Evaluations of all that was named, and the files written for them."""
+def _collect(options: Options, console: Console) -> tuple[list[Evaluation], list[Path]]:
+    """Evaluations of the given runs or folders, and the files written for them."""
     if options.folders.pred:
         evaluation = score_folders(options, _progress(options, console, "scoring"))
         return [evaluation], write_results(evaluation, _table_folder(options))
@@ -106,7 +105,7 @@ def _gather(options: Options, console: Console) -> tuple[list[Evaluation], list[
 
 
 def score_folders(options: Options, progress: Callable[[int, int], None] | None = None) -> Evaluation:
-    """Score the two folders of the options; `InputError` on any mismatch."""
+    """Score the folders of --pred and --gt; `InputError` on any mismatch."""
     folders = options.folders
     if folders.pred is None or folders.gt is None:
         raise InputError("expected --pred and --gt")
@@ -115,12 +114,14 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
     labels = Labels(*names, seed=folders.seed, provenance=provenance)
-    networks = learned(options, protocol), found_faces(options, protocol)
-    return score(pairs, protocol, labels, *networks, options.threads, progress)
+    models = model_folders(options.models)
+    learned = None if options.no_learned else learned_metrics(protocol, models)
+    faces = None if options.no_learned else face_metrics(protocol, models)
+    return score(pairs, protocol, labels, learned, faces, options.threads, progress)
 
 
 def folder_protocol(options: Options) -> Protocol:
-    """The arithmetic of a named protocol; what two folders cannot prove is `given`, regions are those with masks."""
+    """The protocol for two folders: fields that they cannot prove are `given`, regions are those with masks."""
     protocol = options.base_protocol()
     if protocol.name != "folders":
         protocol = protocol.override(split="given", resolution="given", mask="given")
@@ -133,35 +134,28 @@ def folder_protocol(options: Options) -> Protocol:
     return protocol.override(regions=known)
 
 
-def learned(options: Options, protocol: Protocol) -> Perceptual | None:
-    """Learned metrics of a protocol, unless switched off."""
-    return learned_metrics(protocol, model_folders(options.models)) if not options.no_learned else None
-
-
-def found_faces(options: Options, protocol: Protocol) -> FaceMetrics | None:
-    """Metrics of faces of a protocol, unless switched off."""
-    return None if options.no_learned else face_metrics(protocol, model_folders(options.models))
-
-
-def _visuals(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:
-    """Report, comparison, video and curves of every evaluation with pictures, and comparisons of methods."""
-    from evaluate.figures.evaluation_images import Shown
+def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: Path, console: Console) -> list[Path]:
+    """Write report, comparison, video and curves of every evaluation with images, and comparisons of methods."""
+    from evaluate.figures.evaluation_images import EvaluationImages
     from evaluate.figures.write import write_studies, write_visuals
 
     if options.folders.pred and options.folders.gt:
-        pairs = [(folder, Shown(evaluations[0], options.folders.pred, options.folders.gt))]
+        found = [(folder, EvaluationImages(evaluations[0], options.folders.pred, options.folders.gt))]
     else:
-        homes = [_home(path, found) for path, found in zip(options.runs, evaluations, strict=True)]
-        pairs = [(home, Shown.in_folder(found, home)) for home, found in zip(homes, evaluations, strict=True)]
-        pairs = [(home, shown) for home, shown in pairs if shown.predictions.is_dir() and shown.truth.is_dir()]
+        homes = [_metrics_folder(path, one) for path, one in zip(options.runs, evaluations, strict=True)]
+        found = [
+            (home, images)
+            for home, one in zip(homes, evaluations, strict=True)
+            if (images := EvaluationImages.in_folder(one, home)).predictions.is_dir() and images.truth.is_dir()
+        ]
     written: list[Path] = []
-    for home, shown in pairs:
-        written += write_visuals(shown, home, _progress(options, console, "drawing"))
-    return written + write_studies([shown for _, shown in pairs], folder)
+    for home, images in found:
+        written += write_visuals(images, home, _progress(options, console, "drawing"))
+    return written + write_studies([images for _, images in found], folder)
 
 
-def _home(path: Path, evaluation: Evaluation) -> Path:
-    """Folder of the metrics that a command-line argument stands for."""
+def _metrics_folder(path: Path, evaluation: Evaluation) -> Path:
+    """Folder of the metrics of a command-line argument."""
     path = results_folder(path)
     if path.is_file():
         return path.parent
@@ -169,7 +163,7 @@ def _home(path: Path, evaluation: Evaluation) -> Path:
 
 
 def _table_folder(options: Options) -> Path:
-    """Where tables go: the folder asked for, beside a single result, or `evaluation/`."""
+    """Output folder of the tables: that of the options, beside a single result, or `evaluation/`."""
     if options.output:
         return options.output
     if options.folders.pred:
@@ -196,7 +190,7 @@ def _progress(options: Options, console: Console, title: str) -> Callable[[int, 
 
 
 def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks: Sequence[Check]) -> dict[str, Any]:
-    """What a calling program wants to know, in one line."""
+    """The JSON summary for a calling program."""
     found = [
         {
             "subject": e.subject,

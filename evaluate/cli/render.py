@@ -1,4 +1,4 @@
-"""The command ggavatar-render: frames of a split, an orbit, or another person's performance, as PNG and video."""
+"""The command ggavatar-render: frames of a split, an orbit or a driving sequence, as PNG and video."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Pictures of results: comparisons, error maps, curves, videos, the report."""
+"""Figures of results: comparisons, error maps, curves, videos, the report."""

@@ -1,4 +1,7 @@
-"""A contact sheet: rows and columns of pictures with headings, row labels and captions, pixel for pixel."""
+"""A contact sheet: rows and columns of images with headings, row labels and captions.
+
+Composed as an array because the images must stay pixel-exact, which matplotlib's axes do not guarantee.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,20 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.figures.text import INK, MUTED, PAPER, fitted, put, strip
+from evaluate.figures.text import BACKGROUND, MUTED_COLOR, TEXT_COLOR, blend_text, fit_text, text_band
 
 GAP = 6
+"""Space between tiles, px."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Pictures side by side, all of one size.
+    """Images side by side, all of one size.
 
     Attributes:
-        tiles: One per column; None leaves the place empty.
-        label: Written upward at the left; rows of one subject share one label through an empty string in the others.
-        captions: Under the tiles; empty for none.
+        tiles: One image per column; None leaves the cell empty.
+        label: Row label, written vertically at the left; empty for none.
+        captions: Texts under the tiles; empty for none.
         space: Extra space above the row, px.
     """
 
@@ -41,26 +45,26 @@ class Row:
         return max(tile.shape[1] for tile in self.tiles if tile is not None)
 
 
-def sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> UInt8[np.ndarray, "H W 3"]:
+def contact_sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> UInt8[np.ndarray, "H W 3"]:
     """Lay out rows under headings.
 
     Args:
-        rows: From the top; all with the same number of columns.
+        rows: Rows from the top, all with the same number of columns.
         headings: One per column, or none at all.
-        note: A line at the foot.
+        note: A line at the bottom.
 
     Returns:
-        The sheet on white.
+        The sheet on a white background.
 
     Raises:
-        ValueError: If the numbers of columns differ.
+        ValueError: The numbers of columns differ.
     """
     columns = len(rows[0].tiles)
     if any(len(row.tiles) != columns for row in rows) or (headings and len(headings) != columns):
         raise ValueError(
-            f"expected {columns} columns, got {[len(row.tiles) for row in rows]} and {len(headings)} headings"
+            f"expected {columns} columns, found {[len(row.tiles) for row in rows]} and {len(headings)} headings"
         )
-    width, size = max(row.width for row in rows), type_size(max(row.width for row in rows))
+    width, size = max(row.width for row in rows), font_size(max(row.width for row in rows))
     margin = round(2.2 * size) if any(row.label for row in rows) else 0
     bands = [_headings(headings, width, size, margin)] if headings else []
     bands += [_row(row, width, size, margin) for row in rows]
@@ -69,52 +73,53 @@ def sheet(rows: Sequence[Row], headings: Sequence[str] = (), note: str = "") -> 
     return _framed(np.concatenate(bands))
 
 
-def type_size(width: int) -> float:
-    """Size of the type for tiles of a width, px: legible when the sheet is shrunk to a page."""
+def font_size(width: int) -> float:
+    """Font size for tiles of a width, px: legible when the sheet is scaled down to a page."""
     return float(np.clip(width / 14, 12, 30))
 
 
-def resized(image: UInt8[np.ndarray, "H W C"], width: int) -> UInt8[np.ndarray, "h w C"]:
-    """A picture resampled to a width, keeping its shape; averaged when shrunk, interpolated when enlarged."""
+def resize_to_width(image: UInt8[np.ndarray, "H W C"], width: int) -> UInt8[np.ndarray, "h w C"]:
+    """An image resampled to a width, keeping its aspect ratio: averaged when shrunk, interpolated when enlarged."""
     if image.shape[1] == width:
         return image
     height = max(1, round(image.shape[0] * width / image.shape[1]))
-    return cv2.resize(
-        image, (width, height), interpolation=cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
-    )
+    method = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
+    return cv2.resize(image, (width, height), interpolation=method)
 
 
 def _headings(headings: Sequence[str], width: int, size: float, margin: int) -> np.ndarray:
-    band = strip(list(headings), [width + GAP] * len(headings), size, INK, bold=True)
+    band = text_band(list(headings), [width + GAP] * len(headings), size, TEXT_COLOR, bold=True)
     return _padded(band[:, : band.shape[1] - GAP], margin)
 
 
 def _row(row: Row, width: int, size: float, margin: int) -> np.ndarray:
-    band = np.full((row.height, len(row.tiles) * (width + GAP) - GAP, 3), PAPER, np.uint8)
+    band = np.full((row.height, len(row.tiles) * (width + GAP) - GAP, 3), BACKGROUND, np.uint8)
     for index, tile in enumerate(row.tiles):
         if tile is not None:
             left = index * (width + GAP) + (width - tile.shape[1]) // 2
             band[: tile.shape[0], left : left + tile.shape[1]] = tile
-    parts = [np.full((row.space, band.shape[1], 3), PAPER, np.uint8), band]
+    parts = [np.full((row.space, band.shape[1], 3), BACKGROUND, np.uint8), band]
     if row.captions:
-        caption = strip(list(row.captions), [width + GAP] * len(row.captions), size * 0.85, MUTED)
+        caption = text_band(list(row.captions), [width + GAP] * len(row.captions), size * 0.85, MUTED_COLOR)
         parts.append(caption[:, : band.shape[1]])
     else:
-        parts.append(np.full((GAP, band.shape[1], 3), PAPER, np.uint8))
+        parts.append(np.full((GAP, band.shape[1], 3), BACKGROUND, np.uint8))
     laid = _padded(np.concatenate(parts), margin)
     if row.label:
-        upward = np.rot90(fitted(row.label, size, row.height))
-        put(laid, upward, (margin - upward.shape[1]) // 2, row.space + (row.height - upward.shape[0]) // 2, INK)
+        upward = np.rot90(fit_text(row.label, size, row.height))
+        blend_text(
+            laid, upward, (margin - upward.shape[1]) // 2, row.space + (row.height - upward.shape[0]) // 2, TEXT_COLOR
+        )
     return laid
 
 
 def _line(text: str, width: int, size: float) -> np.ndarray:
-    return strip([text], [width], size * 0.85, MUTED)
+    return text_band([text], [width], size * 0.85, MUTED_COLOR)
 
 
 def _padded(band: np.ndarray, margin: int) -> np.ndarray:
-    return cv2.copyMakeBorder(band, 0, 0, margin, 0, cv2.BORDER_CONSTANT, value=PAPER)
+    return cv2.copyMakeBorder(band, 0, 0, margin, 0, cv2.BORDER_CONSTANT, value=BACKGROUND)
 
 
 def _framed(image: np.ndarray) -> np.ndarray:
-    return cv2.copyMakeBorder(image, GAP, GAP, GAP, GAP, cv2.BORDER_CONSTANT, value=PAPER)
+    return cv2.copyMakeBorder(image, GAP, GAP, GAP, GAP, cv2.BORDER_CONSTANT, value=BACKGROUND)

@@ -1,4 +1,4 @@
-"""Which parts of a picture to enlarge: the squares in which the compared methods err most."""
+"""Choice of crops to enlarge: the squares with the largest error of the compared methods."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 @dataclass(frozen=True)
 class Crop:
-    """A square part of a picture, px.
+    """A square part of an image, px.
 
     Attributes:
         left: First column.
@@ -24,11 +24,11 @@ class Crop:
     size: int
 
     def cut(self, image: UInt8[np.ndarray, "H W C"]) -> UInt8[np.ndarray, "S S C"]:
-        """The pixels inside."""
+        """The pixels inside the square."""
         return image[self.top : self.top + self.size, self.left : self.left + self.size]
 
     def enlarged(self, image: UInt8[np.ndarray, "H W C"], side: int) -> UInt8[np.ndarray, "S S C"]:
-        """The pixels inside, resampled to `side` px without inventing smoothness when enlarging by whole steps."""
+        """The pixels inside, resampled to `side` px; an integer factor repeats pixels instead of interpolating."""
         cut = self.cut(image)
         whole = side % self.size == 0
         method = cv2.INTER_NEAREST if whole else (cv2.INTER_AREA if side < self.size else cv2.INTER_CUBIC)
@@ -38,16 +38,16 @@ class Crop:
 def choose_crops(
     error: Float[np.ndarray, "H W"], count: int, fraction: float = 0.2, focus: Float[np.ndarray, "H W"] | None = None
 ) -> list[Crop]:
-    """Squares with the largest mean error, without overlap, in descending order of error.
+    """Non-overlapping squares with the largest mean error, in descending order.
 
     Args:
-        error: Error per pixel, for several methods their mean, so that the choice favours none.
-        count: How many to choose; fewer come back where no more fit.
-        fraction: Side of a square relative to the shorter side of the picture.
-        focus: Weight per pixel in [0, 1], such as a mask of the face: the first square is the worst by error × focus.
+        error: Error per pixel; for several methods their mean, so that the choice favors none.
+        count: Number of crops; fewer are returned if no more fit.
+        fraction: Side of a square relative to the shorter side of the image.
+        focus: Weight per pixel in [0, 1], such as a face mask: the first square maximizes error × focus.
 
     Returns:
-        The crops; ties are broken towards the top left, so the choice is reproducible.
+        The crops; ties are resolved toward the top left, so the choice is reproducible.
     """
     size = max(2, round(min(error.shape) * fraction))
     taken = np.zeros((error.shape[0] - size + 1, error.shape[1] - size + 1), bool)
@@ -62,6 +62,6 @@ def choose_crops(
 
 
 def _window_means(values: Float[np.ndarray, "H W"], size: int) -> Float[np.ndarray, "h w"]:
-    """Mean of every square of a size, by its top left corner."""
+    """Mean of every square of a size, indexed by its top left corner."""
     means = cv2.boxFilter(values, -1, (size, size), anchor=(0, 0), normalize=True, borderType=cv2.BORDER_CONSTANT)
     return means[: values.shape[0] - size + 1, : values.shape[1] - size + 1]

@@ -1,4 +1,4 @@
-"""Metrics over the frames of a split, one line a method."""
+"""Metrics over the frames of a split, one line per method."""
 
 from __future__ import annotations
 
@@ -10,30 +10,31 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from evaluate.figures.evaluation_images import Shown, measured, names_of
+from evaluate.figures.evaluation_images import EvaluationImages, display_names, measured_metrics
 from evaluate.metrics.catalogue import metric_of, title_of
 from ggavatar.io.atomic import write_atomically
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B5B5B")
-"""Okabe and Ito's palette, which readers with any colour vision can tell apart."""
+"""Palette of Okabe and Ito, distinguishable with any form of color vision."""
 
 
-def curves(shown: Sequence[Shown], metrics: Sequence[str] = ()) -> Figure:
-    """A panel a metric, with the mean of every method as a dashed line and the worst frame marked.
+def curves(compared: Sequence[EvaluationImages], metrics: Sequence[str] = ()) -> Figure:
+    """One panel per metric, with every method's mean as a dashed line and its worst frame marked.
 
     Args:
-        shown: Methods on one subject.
-        metrics: What to draw; by default the main table's metrics that were measured.
+        compared: Methods on one subject.
+        metrics: Metrics to plot; by default those of the main table that were measured.
     """
-    wanted = set(shown[0].evaluation.protocol.table_metrics)
-    chosen = list(metrics) or [name for name in measured(shown) if name in wanted] or measured(shown)[:1]
+    wanted = set(compared[0].evaluation.protocol.table_metrics)
+    measured = measured_metrics(compared)
+    chosen = list(metrics) or [name for name in measured if name in wanted] or measured[:1]
     figure = Figure(figsize=(9.0, 0.9 + 1.9 * len(chosen)), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
     for panel, name in zip(panels, chosen, strict=True):
-        _draw(panel, shown, name)
+        _draw(panel, compared, name)
     panels[-1].set_xlabel("source frame")
-    first = shown[0].evaluation
+    first = compared[0].evaluation
     figure.suptitle(f"{first.subject} · {first.protocol.id} · {len(first.frames)} frames", fontsize=11)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=9
@@ -41,9 +42,9 @@ def curves(shown: Sequence[Shown], metrics: Sequence[str] = ()) -> Figure:
     return figure
 
 
-def _draw(panel: Axes, shown: Sequence[Shown], name: str) -> None:
+def _draw(panel: Axes, compared: Sequence[EvaluationImages], name: str) -> None:
     metric = metric_of(name)
-    for index, (one, label) in enumerate(zip(shown, names_of(shown), strict=True)):
+    for index, (one, label) in enumerate(zip(compared, display_names(compared), strict=True)):
         color = COLORS[index % len(COLORS)]
         frames = np.array(one.evaluation.frames)
         values = np.array([np.nan if value is None else value for value in one.evaluation.values.get(name, ())])
@@ -64,9 +65,9 @@ def _draw(panel: Axes, shown: Sequence[Shown], name: str) -> None:
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def write_curves(path: Path, shown: Sequence[Shown]) -> None:
-    """Draw the curves into a file whose suffix decides the format (.png, .pdf, .svg), if anything was measured."""
-    if not measured(shown):
+def write_curves(path: Path, compared: Sequence[EvaluationImages]) -> None:
+    """Write the curves in the format of the suffix (.png, .pdf, .svg), if anything was measured."""
+    if not measured_metrics(compared):
         return
-    figure = curves(shown)
+    figure = curves(compared)
     write_atomically(path, lambda stream: figure.savefig(stream, format=path.suffix[1:]))

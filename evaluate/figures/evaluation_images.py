@@ -1,8 +1,7 @@
-"""An evaluation together with the pictures it was measured on: what figures and reports are made of."""
+"""Evaluations together with the images they were measured on, the input of figures and reports."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,75 +10,78 @@ import numpy as np
 from jaxtyping import UInt8
 
 from evaluate.metrics.catalogue import metric_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
 from evaluate.scoring.frame_files import find_frame
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_rgb
+from ggavatar.io.json_files import read_json
+
+DEFAULT_FPS = 25.0
 
 
 @dataclass(frozen=True)
-class Shown:
-    """One method on one subject, with its pictures.
+class EvaluationImages:
+    """One method on one subject, with its images.
 
     Attributes:
-        evaluation: Numbers and protocol.
-        predictions: Folder of renders.
+        evaluation: Scores and protocol.
+        predictions: Folder of predictions.
         truth: Folder of ground truth.
         fps: Frames per second of the source video.
-        faces: Folders of masks of the face and its parts, which may be missing.
+        face_masks: Folders of masks of the face and its parts, which may be missing.
     """
 
     evaluation: Evaluation
     predictions: Path
     truth: Path
-    fps: float = 25.0
-    faces: tuple[Path, ...] = ()
+    fps: float = DEFAULT_FPS
+    face_masks: tuple[Path, ...] = ()
 
     @staticmethod
-    def in_folder(evaluation: Evaluation, home: Path) -> Shown:
-        """Pictures and frame rate where `evaluate.scoring.predict` wrote them."""
+    def in_folder(evaluation: Evaluation, home: Path) -> EvaluationImages:
+        """Images and frame rate from a folder written by `evaluate.scoring.predict`."""
         try:
-            fps = float(json.loads((home / "predict.json").read_text(encoding="utf-8"))["identity"]["fps"])
+            fps = float(read_json(home / "predict.json")["identity"]["fps"])
         except (OSError, ValueError, KeyError, TypeError):
-            fps = 25.0
-        faces = tuple(home / "regions" / name for name in ("face", "mouth", "eyes"))
-        return Shown(evaluation, home / "predictions", home / "ground_truth", fps, faces)
+            fps = DEFAULT_FPS
+        face_masks = tuple(home / "regions" / name for name in ("face", "mouth", "eyes"))
+        return EvaluationImages(evaluation, home / "predictions", home / "ground_truth", fps, face_masks)
 
     def pair(self, frame: int) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W 3"]]:
-        """Render and ground truth of a frame; `InputError` if one is missing or they differ in size."""
-        render, truth = read_rgb(find_frame(self.predictions, frame)), read_rgb(find_frame(self.truth, frame))
-        if render.shape != truth.shape:
+        """Prediction and ground truth of a frame; `InputError` if one is missing or they differ in size."""
+        prediction, truth = read_rgb(find_frame(self.predictions, frame)), read_rgb(find_frame(self.truth, frame))
+        if prediction.shape != truth.shape:
             raise InputError(
                 f"{self.predictions}: frame {frame} has another size than the ground truth; evaluate again"
             )
-        return render, truth
+        return prediction, truth
 
 
-def names_of(shown: Sequence[Shown]) -> list[str]:
-    """Distinct labels: the method, with its seed or a number where several share one."""
-    methods = [printed(one.evaluation.method) for one in shown]
+def display_names(compared: Sequence[EvaluationImages]) -> list[str]:
+    """Distinct names: the method's display name, with the seed or a number where several share it."""
+    methods = [display_name(one.evaluation.method) for one in compared]
     labels = []
-    for index, one in enumerate(shown):
+    for index, one in enumerate(compared):
         method, seed = methods[index], one.evaluation.seed
         label = method if methods.count(method) == 1 or seed is None else f"{method} (seed {seed})"
         labels.append(label if label not in labels else f"{label} #{index + 1}")
     return labels
 
 
-def measured(shown: Sequence[Shown]) -> list[str]:
-    """Columns with at least one value, in the order of the protocol."""
-    columns = dict.fromkeys(name for one in shown for name in one.evaluation.protocol.columns)
-    return [name for name in columns if any(_any_value(one.evaluation, name) for one in shown)]
+def measured_metrics(compared: Sequence[EvaluationImages]) -> list[str]:
+    """Metrics with at least one value, in the order of the protocol."""
+    columns = dict.fromkeys(name for one in compared for name in one.evaluation.protocol.columns)
+    return [name for name in columns if any(_any_value(one.evaluation, name) for one in compared)]
 
 
 def _any_value(evaluation: Evaluation, name: str) -> bool:
     return any(value is not None for value in evaluation.values.get(name, ()))
 
 
-def worst_frames(shown: Sequence[Shown], count: int, metric: str = "psnr") -> list[int]:
-    """Frames of the first evaluation with the worst values, the worst first; identical frames come last."""
-    evaluation = shown[0].evaluation
+def worst_frames(compared: Sequence[EvaluationImages], count: int, metric: str = "psnr") -> list[int]:
+    """Frames of the first evaluation with the worst values, worst first; identical frames come last."""
+    evaluation = compared[0].evaluation
     values = evaluation.values.get(metric, ())
     sign = 1.0 if metric_of(metric).higher_is_better else -1.0
     known = [

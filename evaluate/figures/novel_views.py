@@ -1,4 +1,4 @@
-"""The novel-view figure: one frame seen from around the head, a row over y and a row over x."""
+"""The novel-view figure: one frame seen from several directions, a row of yaw and a row of pitch."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from evaluate.figures.contact_sheet import Row, resized, sheet
-from evaluate.motion.orbit import turned
+from evaluate.figures.contact_sheet import Row, contact_sheet, resize_to_width
+from evaluate.motion.orbit import orbit_camera
 from evaluate.scoring.frame_files import to_8_bit
 from evaluate.scoring.ground_truth import Color
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
@@ -24,49 +24,49 @@ PITCHES = (-25.0, -16.0, -8.0, 0.0, 8.0, 16.0, 25.0)
 def views_at(
     avatar: Avatar,
     rasterize: Rasterizer,
-    pose: tuple[Drive, Camera, Float[Tensor, " 3"]],
+    view: tuple[Drive, Camera, Float[Tensor, " 3"]],
     angles: Sequence[tuple[float, float]],
     background: Color,
 ) -> list[UInt8[np.ndarray, "H W 3"]]:
-    """The avatar in one pose from several sides.
+    """The avatar with one drive, seen from several directions.
 
     Args:
         avatar: Poses the Gaussians, once for all views.
-        rasterize: Draws them.
-        pose: Drive, camera to start from, and centre to turn about, m.
+        rasterize: Renders the Gaussians.
+        view: Drive, starting camera, and center of rotation, m.
         angles: Yaw and pitch of every view, degrees.
         background: sRGB in [0, 1].
     """
-    drive, camera, center = pose
+    drive, camera, center = view
     gaussians = avatar.gaussians(drive)
     color = center.new_tensor(background)
-    cameras = [turned(camera, center, math.radians(yaw), math.radians(pitch)) for yaw, pitch in angles]
+    cameras = [orbit_camera(camera, center, math.radians(yaw), math.radians(pitch)) for yaw, pitch in angles]
     return [to_8_bit(rasterize(gaussians, camera, color).image.float().cpu().numpy()) for camera in cameras]
 
 
 def novel_views(
     avatar: Avatar,
     rasterize: Rasterizer,
-    pose: tuple[Drive, Camera, Float[Tensor, " 3"]],
+    view: tuple[Drive, Camera, Float[Tensor, " 3"]],
     background: Color = (1.0, 1.0, 1.0),
     width: int = 256,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """Seven views about the vertical and seven about the horizontal axis of the image; the middle is the frame itself.
+    """Seven views rotated about the vertical and seven about the horizontal image axis; the middle one is the frame.
 
     Args:
         avatar: Poses the Gaussians.
-        rasterize: Draws them.
-        pose: Drive, camera to start from, and centre to turn about, m.
+        rasterize: Renders the Gaussians.
+        view: Drive, starting camera, and center of rotation, m.
         background: sRGB in [0, 1].
-        width: Of one picture, px.
+        width: Width of one image, px.
     """
-    over_y = views_at(avatar, rasterize, pose, [(yaw, 0.0) for yaw in YAWS], background)
-    over_x = views_at(avatar, rasterize, pose, [(0.0, pitch) for pitch in PITCHES], background)
+    yawed = views_at(avatar, rasterize, view, [(yaw, 0.0) for yaw in YAWS], background)
+    pitched = views_at(avatar, rasterize, view, [(0.0, pitch) for pitch in PITCHES], background)
     rows = [
-        Row([resized(image, width) for image in over_y], "turned over y", [_degrees(angle) for angle in YAWS]),
-        Row([resized(image, width) for image in over_x], "turned over x", [_degrees(angle) for angle in PITCHES]),
+        Row([resize_to_width(image, width) for image in yawed], "yaw", [_degrees(angle) for angle in YAWS]),
+        Row([resize_to_width(image, width) for image in pitched], "pitch", [_degrees(angle) for angle in PITCHES]),
     ]
-    return sheet(rows, note="0° is the camera of the frame; the expression is held")
+    return contact_sheet(rows, note="0° is the camera of the frame; the expression is fixed")
 
 
 def _degrees(angle: float) -> str:

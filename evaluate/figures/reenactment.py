@@ -1,4 +1,4 @@
-"""The reenactment figure: the driver's frames in the row above, what each avatar makes of them below."""
+"""The reenactment figure: the driver's frames in the top row, those of each avatar below."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.figures.contact_sheet import Row, resized, sheet
-from evaluate.motion.motion import Motion
+from evaluate.figures.contact_sheet import Row, contact_sheet, resize_to_width
+from evaluate.motion.driving_sequence import DrivingSequence
 
 
 def reenactment(
@@ -17,30 +17,32 @@ def reenactment(
     captions: Sequence[str] = (),
     width: int = 256,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """One column a frame.
+    """The figure, with one column per frame.
 
     Args:
-        driver: Frames of the driving person, 8-bit RGB; empty when there are only parameters.
-        results: The avatars' pictures of the same frames, by the label of their row.
-        captions: Under the driver's frames, such as frame numbers.
-        width: Of one picture, px.
+        driver: Frames of the driving person, 8-bit RGB; empty if there are only parameters.
+        results: The avatars' images of the same frames, by row label.
+        captions: Texts under the driver's frames, such as frame numbers.
+        width: Width of one image, px.
     """
-    rows = [Row([resized(image, width) for image in driver], "driver", captions)] if driver else []
-    rows += [Row([resized(image, width) for image in images], name) for name, images in results.items()]
-    return sheet(rows, note="Expression and pose carried over relative to the neutral frames of driver and avatar")
+    rows = [Row([resize_to_width(image, width) for image in driver], "driver", captions)] if driver else []
+    rows += [Row([resize_to_width(image, width) for image in images], name) for name, images in results.items()]
+    return contact_sheet(
+        rows, note="Expression and pose carried over relative to the neutral frames of driver and avatar"
+    )
 
 
-def telling_rows(motion: Motion, count: int) -> list[int]:
-    """Rows that differ most from the neutral and from each other: farthest-point choice, in order of time.
+def representative_rows(sequence: DrivingSequence, count: int) -> list[int]:
+    """Rows that differ most from the mean and from each other, in temporal order.
 
     Args:
-        motion: The performance.
-        count: How many rows; all of a shorter one.
+        sequence: The driving sequence.
+        count: Number of rows; all rows of a shorter sequence.
 
     References:
-        Gonzalez 1985, farthest-first traversal, on expression in deviations and jaw and lids in comparable units.
+        Gonzalez 1985, farthest-first traversal; here over expression, joints and eyelids in comparable units.
     """
-    features = _features(motion)
+    features = _features(sequence)
     chosen = [int(np.argmax(np.linalg.norm(features, axis=1)))]
     while len(chosen) < min(count, len(features)):
         nearest = np.min([np.linalg.norm(features - features[row], axis=1) for row in chosen], axis=0)
@@ -49,9 +51,9 @@ def telling_rows(motion: Motion, count: int) -> list[int]:
     return sorted(set(chosen))
 
 
-def _features(motion: Motion) -> Float[np.ndarray, "T D"]:
-    """What the eye notices, in units of about one: expression weighted by its energy, joints and lids."""
-    centered = motion.expression - motion.expression.mean(axis=0)
+def _features(sequence: DrivingSequence) -> Float[np.ndarray, "T D"]:
+    """Expression normalized by its energy, joint rotations and eyelids, each in units of about one."""
+    centered = sequence.expression - sequence.expression.mean(axis=0)
     scale = max(float(np.sqrt(np.square(centered).sum(axis=1).mean())), 1e-9)
-    joints = motion.joint_rotations.reshape(len(centered), -1) / 0.2
-    return np.concatenate((centered / scale, joints - joints.mean(axis=0), motion.eyelids / 0.5), axis=1)
+    joints = sequence.joint_rotations.reshape(len(centered), -1) / 0.2
+    return np.concatenate((centered / scale, joints - joints.mean(axis=0), sequence.eyelids / 0.5), axis=1)

@@ -1,89 +1,91 @@
-"""The report: one HTML page with tables, pictures, curves and protocol that needs neither network nor server."""
+"""The report: one HTML page with tables, images, curves and protocol that needs neither network nor server."""
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from jinja2 import Environment, StrictUndefined
+
 from evaluate.figures.curves import COLORS
-from evaluate.figures.evaluation_images import Shown, measured, names_of, worst_frames
-from evaluate.figures.report_images import report_pictures
+from evaluate.figures.evaluation_images import EvaluationImages, display_names, measured_metrics, worst_frames
+from evaluate.figures.report_images import report_images
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.protocols.results import Evaluation, write_text
+from evaluate.protocols.results import Evaluation
 from evaluate.tables.format_html import STYLE, to_fragment
 from evaluate.tables.provenance import ranges
-from evaluate.tables.table import Table
 from evaluate.tables.write import build_tables
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import write_text
 
 TEMPLATE = "report.html"
-WORST = 6
-FOLDED = MappingProxyType({"detail": "All metrics", "sources": "What was scored"})
+WORST_FRAMES = 6
+MAX_FPS = 12.0
+"""Largest playback rate of the page, frames per second."""
+COLLAPSED_TABLES = MappingProxyType({"detail": "All metrics", "sources": "What was scored"})
+"""Titles of long tables that are collapsed at first."""
 
 
-def write_report(path: Path, shown: Sequence[Shown], megabytes: float = 12.0) -> None:
+def write_report(path: Path, compared: Sequence[EvaluationImages], megabytes: float = 12.0) -> None:
     """Write the report of one or more methods on one subject.
 
     Args:
-        path: The .html file to write, atomically.
-        shown: Evaluations under one protocol on the same frames; the first is shown first.
-        megabytes: Room for pictures, 10⁶ bytes; where it does not hold all frames, the worst and an even choice of the
-            others are shown, and the page says so.
+        path: The .html file, written atomically.
+        compared: Evaluations under one protocol on the same frames; the first is shown first.
+        megabytes: Budget for images, 10⁶ bytes; if it does not hold all frames, the worst and an even selection of the
+            others are included, and the page says so.
 
     Raises:
-        InputError: No evaluation, different protocols or subjects, or a missing picture.
+        InputError: No evaluation, different protocols or subjects, or a missing image.
     """
-    if not shown:
+    if not compared:
         raise InputError("expected at least one evaluation to report, found none")
-    kinds = {(one.evaluation.subject, one.evaluation.protocol.digest) for one in shown}
+    kinds = {(one.evaluation.subject, one.evaluation.protocol.digest) for one in compared}
     if len(kinds) > 1:
         raise InputError(f"expected one subject under one protocol in a report, found {len(kinds)}; write one for each")
-    evaluations = [one.evaluation for one in shown]
-    tables = "\n".join(map(_table, build_tables(evaluations)))
-    parts = {
-        "TITLE": escape(_title(shown)),
-        "SUMMARY": _summary(evaluations[0], names_of(shown)[0] if len(shown) > 1 else ""),
-        "TABLE-STYLE": STYLE,
-        "TABLES": tables,
-        "PROTOCOL": _definition_list(_protocol(evaluations[0])),
-        "PROVENANCE": "".join(_provenance(one, name) for one, name in zip(evaluations, names_of(shown), strict=True)),
-        "DATA": json.dumps(report_data(shown, megabytes), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c"),
-    }
-    page = (files("evaluate.figures") / TEMPLATE).read_text(encoding="utf-8")
-    write_text(path, re.sub(r"<!--([A-Z-]+)-->", lambda found: parts[found[1]], page))
+    evaluations, names = [one.evaluation for one in compared], display_names(compared)
+    tables = [(COLLAPSED_TABLES.get(table.name), to_fragment(table)) for table in build_tables(evaluations)]
+    page = _environment().from_string((files("evaluate.figures") / TEMPLATE).read_text(encoding="utf-8"))
+    text = page.render(
+        title=f"{evaluations[0].subject}: {', '.join(names)}",
+        table_style=STYLE,
+        headline=_headline(evaluations[0], names[0] if len(names) > 1 else ""),
+        tables=tables,
+        protocol=_protocol(evaluations[0]),
+        provenance=[(name, _provenance(one), one.notes) for name, one in zip(names, evaluations, strict=True)],
+        data=report_data(compared, megabytes),
+    )
+    write_text(path, text + "\n")
 
 
-def report_data(shown: Sequence[Shown], megabytes: float) -> dict[str, Any]:
-    """What the page's script draws: numbers of all frames, pictures of those that fit."""
-    pictures, limit = report_pictures(shown, megabytes)
-    columns, headline = measured(shown), set(shown[0].evaluation.protocol.table_metrics)
+def _environment() -> Environment:
+    """Jinja2 with automatic escaping, undefined names as errors and strict JSON."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
+    return environment
+
+
+def report_data(compared: Sequence[EvaluationImages], megabytes: float) -> dict[str, Any]:
+    """The data of the page's script: values of all frames, and images of those that fit into the budget."""
+    images, limit = report_images(compared, megabytes)
+    columns, main = measured_metrics(compared), set(compared[0].evaluation.protocol.table_metrics)
+    frames = compared[0].evaluation.frames
     return {
-        "methods": names_of(shown),
-        "colors": [COLORS[index % len(COLORS)] for index in range(len(shown))],
-        "metrics": [_metric(name, name in headline or name.startswith("psnr@")) for name in columns],
-        "frames": list(shown[0].evaluation.frames),
-        "values": {
-            name: [_by_frame(one.evaluation, shown[0].evaluation.frames, name) for one in shown] for name in columns
-        },
-        "means": {name: [one.evaluation.summary(name).mean for one in shown] for name in columns},
-        "pictures": pictures,
-        "worst": worst_frames(shown, WORST),
+        "methods": display_names(compared),
+        "colors": [COLORS[index % len(COLORS)] for index in range(len(compared))],
+        "metrics": [_metric(name, name in main or name.startswith("psnr@")) for name in columns],
+        "frames": list(frames),
+        "values": {name: [_by_frame(one.evaluation, frames, name) for one in compared] for name in columns},
+        "means": {name: [one.evaluation.summary(name).mean for one in compared] for name in columns},
+        "images": images,
+        "worst": worst_frames(compared, WORST_FRAMES),
         "errorLimit": limit,
-        "fps": min(shown[0].fps, 12.0),
+        "fps": min(compared[0].fps, MAX_FPS),
     }
-
-
-def _table(table: Table) -> str:
-    """A table as HTML; long ones are folded."""
-    fragment, title = to_fragment(table), FOLDED.get(table.name)
-    return f"<details><summary>{title}</summary>{fragment}</details>" if title else fragment
 
 
 def _metric(name: str, main: bool) -> dict[str, Any]:
@@ -100,62 +102,56 @@ def _metric(name: str, main: bool) -> dict[str, Any]:
 
 
 def _by_frame(evaluation: Evaluation, frames: Sequence[int], name: str) -> list[float | str | None]:
-    """Values in the order of `frames`; infinite ones (identical pictures) as a word."""
+    """Values in the order of `frames`; infinite ones (identical images) as a word."""
     values = dict(zip(evaluation.frames, evaluation.values.get(name, ()), strict=False))
-    return [_value(values.get(frame)) for frame in frames]
+    return [_json_value(values.get(frame)) for frame in frames]
 
 
-def _value(value: float | None) -> float | str | None:
+def _json_value(value: float | None) -> float | str | None:
     return value if value is None or math.isfinite(value) else "identical"
 
 
-def _title(shown: Sequence[Shown]) -> str:
-    return f"{shown[0].evaluation.subject}: {', '.join(names_of(shown))}"
-
-
-def _summary(evaluation: Evaluation, name: str) -> str:
-    """The numbers of the main table, large; under the name of the method where the page shows several."""
-    cells = [f"<div><dt>Method</dt><dd>{escape(name)}</dd></div>"] if name else []
-    for name in evaluation.protocol.table_metrics:
-        metric, mean = metric_of(name), evaluation.summary(name).mean
-        value = "–" if mean is None else f"{mean:.{metric.digits}f}"
-        unit = "" if metric.unit == "1" or mean is None else f" <small>{escape(metric.unit)}</small>"
-        hint = f' title="{escape(evaluation.missing[name])}"' if name in evaluation.missing else ""
-        cells.append(f"<div{hint}><dt>{escape(title_of(name))} {metric.arrow}</dt><dd>{value}{unit}</dd></div>")
+def _headline(evaluation: Evaluation, name: str) -> list[dict[str, str]]:
+    """The means of the main table, below the method's name if the page shows several."""
+    facts = [{"name": "Method", "value": name}] if name else []
+    for column in evaluation.protocol.table_metrics:
+        metric, mean = metric_of(column), evaluation.summary(column).mean
+        facts.append(
+            {
+                "name": f"{title_of(column)} {metric.arrow}",
+                "value": "–" if mean is None else f"{mean:.{metric.digits}f}",
+                "unit": "" if metric.unit == "1" or mean is None else metric.unit,
+                "reason": evaluation.missing.get(column, ""),
+            }
+        )
     fps = evaluation.efficiency.get("fps")
     if isinstance(fps, (int, float)):
-        cells.append(f"<div><dt>Frames per second ↑</dt><dd>{fps:.1f}</dd></div>")
-    return "\n".join(cells)
+        facts.append({"name": "Frames per second ↑", "value": f"{fps:.1f}"})
+    return [{"unit": "", "reason": "", **fact} for fact in facts]
 
 
-def _protocol(evaluation: Evaluation) -> dict[str, Any]:
+def _protocol(evaluation: Evaluation) -> dict[str, str]:
     protocol = evaluation.protocol
-    words = {"id": protocol.id, "digest (SHA-256)": protocol.digest, **protocol.as_dict()}
-    defined = {f"definition of {name}": metric_of(name).definition for name in protocol.metrics}
-    return {**words, **defined, "test frames": f"{len(evaluation.frames)}: {ranges(evaluation.frames)}"}
+    fields = {"id": protocol.id, "digest (SHA-256)": protocol.digest, **protocol.as_dict()}
+    definitions = {f"definition of {name}": metric_of(name).definition for name in protocol.metrics}
+    frames = {"test frames": f"{len(evaluation.frames)}: {ranges(evaluation.frames)}"}
+    return {name: _text(value) for name, value in {**fields, **definitions, **frames}.items()}
 
 
-def _provenance(evaluation: Evaluation, name: str) -> str:
+def _provenance(evaluation: Evaluation) -> dict[str, str]:
     content: dict[str, Any] = {**_flat(evaluation.provenance), **_flat(evaluation.efficiency)}
     content |= {f"SHA-256 of {what}": value for what, value in evaluation.hashes.items()}
     content |= {f"weights {what}": value for what, value in evaluation.weights.items()}
-    notes = "".join(f"<li>{escape(note)}</li>" for note in evaluation.notes)
-    inside = _definition_list(content) + (f"<ul>{notes}</ul>" if notes else "")
-    return f"<details open><summary>{escape(name)}</summary>{inside}</details>"
+    return {name: _text(value) for name, value in content.items()}
 
 
 def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one, keys joined by a space; entries without a value are left out."""
+    """Nested mappings as one, keys joined by a space; entries without a value are skipped."""
     found: dict[str, Any] = {}
     for key, value in content.items():
         label = f"{prefix}{key.replace('_', ' ')}"
         found |= _flat(value, f"{label} ") if isinstance(value, Mapping) else {} if value is None else {label: value}
     return found
-
-
-def _definition_list(content: Mapping[str, Any]) -> str:
-    rows = (f"<div><dt>{escape(str(key))}</dt><dd>{escape(_text(value))}</dd></div>" for key, value in content.items())
-    return f'<dl class="facts">{"".join(rows)}</dl>'
 
 
 def _text(value: object) -> str:

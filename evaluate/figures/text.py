@@ -1,4 +1,8 @@
-"""Text on pictures, set in a real typeface (DejaVu Sans, which comes with matplotlib) without any global figure."""
+"""Text on images in DejaVu Sans, which comes with matplotlib, without a global pyplot figure.
+
+matplotlib's renderer rather than Pillow's ImageDraw: Pillow is not a dependency of ours, and about as many lines of
+measuring, fitting and blending would remain.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +14,21 @@ from jaxtyping import Float, UInt8
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.font_manager import FontProperties
 
-INK = (34, 34, 40)
-PAPER = (255, 255, 255)
-MUTED = (110, 110, 120)
+TEXT_COLOR = (34, 34, 40)
+BACKGROUND = (255, 255, 255)
+MUTED_COLOR = (110, 110, 120)
 
 Color = tuple[int, int, int]
 
 
 @lru_cache(maxsize=512)
-def coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H W"]:
-    """How much of every pixel a line of text covers, in [0, 1]; the height depends on the size alone, so lines align.
+def text_coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H W"]:
+    """Coverage of every pixel by a line of text, in [0, 1]; the height depends only on the size, so lines align.
 
     Args:
-        text: One line; mathematical markup is not interpreted.
-        size: Height of the em square, px.
-        bold: Set in the bold face.
+        text: One line; math markup is not interpreted.
+        size: Font size (height of the em square), px.
+        bold: Use the bold face.
     """
     font = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal", size=size)
     measuring = RendererAgg(8, 8, 72)
@@ -37,10 +41,10 @@ def coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarray, "H
     return covered
 
 
-def put(
-    image: UInt8[np.ndarray, "H W 3"], covered: Float[np.ndarray, "h w"], left: int, top: int, color: Color = INK
+def blend_text(
+    image: UInt8[np.ndarray, "H W 3"], covered: Float[np.ndarray, "h w"], left: int, top: int, color: Color = TEXT_COLOR
 ) -> None:
-    """Ink a coverage onto `image` in place; what falls outside is cut off."""
+    """Blend the coverage of a text into `image` in place, clipped at the edges."""
     first_row, first_column = max(0, -top), max(0, -left)
     rows, columns = max(0, image.shape[0] - top), max(0, image.shape[1] - left)
     part = covered[first_row:rows, first_column:columns, None]
@@ -51,26 +55,40 @@ def put(
     target[:] = np.round(target * (1 - part) + np.array(color, np.float32) * part)
 
 
-def fitted(text: str, size: float, width: int, bold: bool = False) -> Float[np.ndarray, "H W"]:
-    """A line of text no wider than `width` px: smaller type first (to 70 %), then cut with an ellipsis."""
+def fit_text(text: str, size: float, width: int, bold: bool = False) -> Float[np.ndarray, "H W"]:
+    """Coverage of a text no wider than `width` px: first in smaller type (down to 70 %), then cut with an ellipsis."""
     for factor in (1.0, 0.85, 0.7):
-        covered = coverage(text, size * factor, bold)
+        covered = text_coverage(text, size * factor, bold)
         if covered.shape[1] <= width:
             return covered
-    while len(text) > 1 and coverage(text + "…", size * 0.7, bold).shape[1] > width:
+    while len(text) > 1 and text_coverage(text + "…", size * 0.7, bold).shape[1] > width:
         text = text[:-1]
-    return coverage(text + "…", size * 0.7, bold)
+    return text_coverage(text + "…", size * 0.7, bold)
 
 
-def strip(
-    texts: list[str], widths: list[int], size: float, color: Color = INK, paper: Color = PAPER, bold: bool = False
+def text_band(
+    texts: list[str],
+    widths: list[int],
+    size: float,
+    color: Color = TEXT_COLOR,
+    background: Color = BACKGROUND,
+    bold: bool = False,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """A band with one centred text per field; the fields lie side by side."""
+    """A band of fields side by side, each with a centered text.
+
+    Args:
+        texts: One text per field.
+        widths: Widths of the fields, px.
+        size: Font size, px.
+        color: Color of the text.
+        background: Color behind it.
+        bold: Use the bold face.
+    """
     height = ceil(size * 1.9)
-    band = np.full((height, sum(widths), 3), paper, np.uint8)
+    band = np.full((height, sum(widths), 3), background, np.uint8)
     left = 0
     for text, width in zip(texts, widths, strict=True):
-        covered = fitted(text, size, width - 4, bold)
-        put(band, covered, left + (width - covered.shape[1]) // 2, (height - covered.shape[0]) // 2, color)
+        covered = fit_text(text, size, width - 4, bold)
+        blend_text(band, covered, left + (width - covered.shape[1]) // 2, (height - covered.shape[0]) // 2, color)
         left += width
     return band

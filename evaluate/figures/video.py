@@ -1,4 +1,4 @@
-"""H.264 video from 8-bit pictures, and the side-by-side video of an evaluation."""
+"""H.264 video from 8-bit images, and the side-by-side video of an evaluation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 from jaxtyping import UInt8
 
-from evaluate.figures.contact_sheet import type_size
-from evaluate.figures.error_map import colored, shared_limit
-from evaluate.figures.text import INK, MUTED, strip
+from evaluate.figures.contact_sheet import font_size
+from evaluate.figures.error_map import error_colors, shared_limit
+from evaluate.figures.text import MUTED_COLOR, TEXT_COLOR, text_band
 from evaluate.metrics.pixels import absolute_error, psnr
 from evaluate.scoring.frame_files import common_frames, frame_files
 from ggavatar.errors import InputError
@@ -26,14 +26,14 @@ CRF = 18
 
 @contextlib.contextmanager
 def video_writer(path: Path, fps: float, crf: int = CRF) -> Iterator[Callable[[np.ndarray], None]]:
-    """Open a video and give a function that appends 8-bit RGB pictures to it, all of one size.
+    """Open a video; yields a function that appends 8-bit RGB images of one size.
 
     H.264, 4:2:0, BT.709, playable in browsers; odd sizes are padded by repeating the last row or column. The file
-    appears under its name when it is whole; on an exception nothing is left.
+    appears under its name once complete; an exception leaves nothing behind.
 
     Args:
-        path: The file to write, .mp4.
-        fps: Pictures per second.
+        path: File to write, .mp4.
+        fps: Frames per second.
         crf: Quality, 0 (lossless) to 51; 18 is visually lossless.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -58,14 +58,14 @@ def video_writer(path: Path, fps: float, crf: int = CRF) -> Iterator[Callable[[n
             if count:
                 container.mux(stream.encode(None))
         if not count:
-            raise InputError(f"{path}: expected at least one picture for the video, found none")
+            raise InputError(f"{path}: expected at least one image for the video, found none")
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 
 
 def _describe(context: av.VideoCodecContext, width: int, height: int) -> None:
-    """Size and colour, so that players convert back with the matrix that was used."""
+    """Set size and color metadata, so that players convert back with the matrix that was used."""
     context.width, context.height = width, height
     context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
     context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.IEC61966_2_1
@@ -81,7 +81,7 @@ def _converted(image: UInt8[np.ndarray, "H W 3"], index: int) -> av.VideoFrame:
 
 
 def playback_fps(frames: Sequence[int], fps: float) -> float:
-    """Speed at which a split can be watched: the source's own where its frames follow each other, else 4 a second."""
+    """Playback rate of a split: that of the source if its frames are consecutive, else at most 4 frames per second."""
     steps = np.diff(sorted(frames))
     return fps if len(steps) and np.median(steps) == 1 else min(fps, 4.0)
 
@@ -91,37 +91,43 @@ def write_side_by_side(
     predictions: Path,
     truth: Path,
     fps: float = 25.0,
-    name: str = "Render",
+    name: str = "Prediction",
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Ground truth, render and error side by side, with frame number and PSNR, for all frames that both folders hold.
+    """Write ground truth, prediction and error side by side, with frame number and PSNR, for all common frames.
 
     Args:
-        path: The file to write, .mp4.
-        predictions: Folder of renders.
+        path: File to write, .mp4.
+        predictions: Folder of predictions.
         truth: Folder of ground truth.
-        fps: Of the source; a split with gaps is shown slower (`playback_fps`).
-        name: Heading of the renders.
+        fps: Frame rate of the source; a split with gaps plays slower (`playback_fps`).
+        name: Heading of the predictions.
         progress: Called with (done, total) after every frame.
     """
     frames = common_frames([predictions, truth])
-    renders, truths = frame_files(predictions), frame_files(truth)
+    predicted, truths = frame_files(predictions), frame_files(truth)
     sampled = frames[:: max(1, len(frames) // 20)]
-    limit = shared_limit(absolute_error(read_rgb(renders[frame]), read_rgb(truths[frame])) for frame in sampled)
+    limit = shared_limit(absolute_error(read_rgb(predicted[frame]), read_rgb(truths[frame])) for frame in sampled)
     with video_writer(path, playback_fps(frames, fps)) as append:
         for done, frame in enumerate(frames, start=1):
-            append(_panel(frame, read_rgb(renders[frame]), read_rgb(truths[frame]), name, limit))
+            append(_panel(frame, read_rgb(predicted[frame]), read_rgb(truths[frame]), name, limit))
             if progress:
                 progress(done, len(frames))
 
 
-def _panel(frame: int, render: np.ndarray, truth: np.ndarray, name: str, limit: float) -> UInt8[np.ndarray, "H W 3"]:
-    """One picture of the video: headings, three pictures, captions."""
-    pictures = np.concatenate((truth, render, colored(absolute_error(render, truth), limit)), axis=1)
-    widths, size = [truth.shape[1]] * 3, type_size(truth.shape[1])
-    head = strip(["Ground truth", name, f"Error, 0 to {limit:g}"], widths, size, INK, bold=True)
-    quality = psnr(render, truth)
-    foot = strip(
-        [f"frame {frame}", "identical" if np.isinf(quality) else f"{quality:.2f} dB", ""], widths, size * 0.85, MUTED
+def _panel(
+    frame: int, prediction: np.ndarray, truth: np.ndarray, name: str, limit: float
+) -> UInt8[np.ndarray, "H W 3"]:
+    """One frame of the video: headings, three images, captions."""
+    errors = error_colors(absolute_error(prediction, truth), limit)
+    images = np.concatenate((truth, prediction, errors), axis=1)
+    widths, size = [truth.shape[1]] * 3, font_size(truth.shape[1])
+    head = text_band(["Ground truth", name, f"Error, 0 to {limit:g}"], widths, size, TEXT_COLOR, bold=True)
+    quality = psnr(prediction, truth)
+    foot = text_band(
+        [f"frame {frame}", "identical" if np.isinf(quality) else f"{quality:.2f} dB", ""],
+        widths,
+        size * 0.85,
+        MUTED_COLOR,
     )
-    return np.concatenate((head, pictures, foot))
+    return np.concatenate((head, images, foot))

@@ -1,47 +1,46 @@
-"""Everything to look at after an evaluation: report, comparison, side-by-side video, curves, worst frames."""
+"""Writes the figures of an evaluation: report, comparison, side-by-side video, curves, worst frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from evaluate.figures.comparison import load_sample, typical_frames, write_comparison
+from evaluate.figures.comparison import load_comparison_frame, typical_frames, write_comparison
 from evaluate.figures.comparison_layout import comparison
 from evaluate.figures.curves import write_curves
-from evaluate.figures.evaluation_images import Shown, names_of
+from evaluate.figures.evaluation_images import EvaluationImages, display_names
 from evaluate.figures.report import write_report
 from evaluate.figures.video import write_side_by_side
 from evaluate.figures.worst_frames import write_worst_frames
 from evaluate.protocols.results import METRICS_FILE
 from ggavatar.io.images import write_png
 
-REPORT, COMPARISON, VIDEO, CURVES, WORST = (
-    "report.html",
-    "comparison.png",
-    "side_by_side.mp4",
-    "curves.png",
-    "worst.png",
-)
+REPORT, COMPARISON, VIDEO = "report.html", "comparison.png", "side_by_side.mp4"
+CURVES, WORST = "curves.png", "worst.png"
 
 
-def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None] | None = None) -> list[Path]:
-    """Write what belongs to one evaluation beside its metrics; files newer than the metrics are kept.
+def write_visuals(
+    evaluated: EvaluationImages, home: Path, progress: Callable[[int, int], None] | None = None
+) -> list[Path]:
+    """Write the figures of one evaluation beside its metrics; files newer than the metrics are kept.
 
     Args:
-        shown: The evaluation with its pictures.
+        evaluated: The evaluation with its images.
         home: Folder of metrics.json.
         progress: Called with (done, total) after every file.
 
     Returns:
-        The files: report, comparison, side-by-side video, curves and worst frames, where there was something to draw.
+        The files: report, comparison, side-by-side video, curves and worst frames, if there was anything to show.
     """
-    (name,) = names_of([shown])
+    (name,) = display_names([evaluated])
     writers: dict[str, Callable[[Path], object]] = {
-        COMPARISON: lambda path: write_comparison(path, {name: shown.predictions}, shown.truth, focus=shown.faces),
-        VIDEO: lambda path: write_side_by_side(path, shown.predictions, shown.truth, shown.fps, name),
-        CURVES: lambda path: write_curves(path, [shown]),
-        WORST: lambda path: write_worst_frames(path, shown),
-        REPORT: lambda path: write_report(path, [shown]),
+        COMPARISON: lambda path: write_comparison(
+            path, {name: evaluated.predictions}, evaluated.truth, focus=evaluated.face_masks
+        ),
+        VIDEO: lambda path: write_side_by_side(path, evaluated.predictions, evaluated.truth, evaluated.fps, name),
+        CURVES: lambda path: write_curves(path, [evaluated]),
+        WORST: lambda path: write_worst_frames(path, evaluated),
+        REPORT: lambda path: write_report(path, [evaluated]),
     }
     for done, (file, write) in enumerate(writers.items(), start=1):
         if _outdated(home / file, home / METRICS_FILE):
@@ -51,19 +50,19 @@ def write_visuals(shown: Shown, home: Path, progress: Callable[[int, int], None]
     return [home / file for file in (REPORT, COMPARISON, VIDEO, CURVES, WORST) if (home / file).is_file()]
 
 
-def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
-    """Write what shows several evaluations together.
+def write_studies(evaluated: Sequence[EvaluationImages], folder: Path) -> list[Path]:
+    """Write the figures that compare several evaluations.
 
     Args:
-        shown: Evaluations of any subjects and protocols.
-        folder: Where `comparison-SUBJECT.png` and `report-SUBJECT.html` go for a subject with several methods on the
-            same frames, and `comparison.png` with a row for every subject, where several have the same methods.
+        evaluated: Evaluations of any subjects and protocols.
+        folder: Output folder of `comparison-SUBJECT.png` and `report-SUBJECT.html` for each subject with several
+            methods on the same frames, and of `comparison.png` with a row per subject if several have the same methods.
 
     Returns:
-        The files written; none where nothing can be compared.
+        The files written; none if nothing can be compared.
     """
-    groups: dict[tuple[str, str, str], list[Shown]] = {}
-    for one in shown:
+    groups: dict[tuple[str, str, str], list[EvaluationImages]] = {}
+    for one in evaluated:
         truth = one.evaluation.hashes.get("ground_truth", "")
         groups.setdefault((one.evaluation.subject, one.evaluation.protocol.id, truth), []).append(one)
     subjects = [subject for subject, _, _ in groups]
@@ -75,34 +74,34 @@ def write_studies(shown: Sequence[Shown], folder: Path) -> list[Path]:
     return written + _write_gallery(list(groups.values()), folder)
 
 
-def _write_study(members: Sequence[Shown], folder: Path, stem: str) -> list[Path]:
+def _write_study(members: Sequence[EvaluationImages], folder: Path, stem: str) -> list[Path]:
     """Comparison and report of several methods on one subject."""
     safe = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
     figure, page = folder / f"comparison-{safe}.png", folder / f"report-{safe}.html"
-    write_comparison(figure, _folders(members), members[0].truth, focus=members[0].faces)
+    write_comparison(figure, _folders(members), members[0].truth, focus=members[0].face_masks)
     write_report(page, members)
     return [figure, page]
 
 
-def _write_gallery(groups: Sequence[Sequence[Shown]], folder: Path) -> list[Path]:
-    """A hard frame of every subject that has the methods of the first (the layout of the paper's Fig. 3)."""
-    alike = [group for group in groups if names_of(group) == names_of(groups[0])]
+def _write_gallery(groups: Sequence[Sequence[EvaluationImages]], folder: Path) -> list[Path]:
+    """A hard frame of every subject with the same methods as the first (the layout of the paper's Fig. 3)."""
+    alike = [group for group in groups if display_names(group) == display_names(groups[0])]
     if len({group[0].evaluation.subject for group in alike}) < 2:
         return []
-    samples = []
+    frames = []
     for group in alike:
         methods, truth, subject = _folders(group), group[0].truth, group[0].evaluation.subject
         hard = list(typical_frames(methods, truth))[-1]
-        samples.append(load_sample(hard, methods, truth, f"{subject}, frame {hard}", group[0].faces))
-    write_png(folder / "comparison.png", comparison(samples))
+        frames.append(load_comparison_frame(hard, methods, truth, f"{subject}, frame {hard}", group[0].face_masks))
+    write_png(folder / "comparison.png", comparison(frames))
     return [folder / "comparison.png"]
 
 
-def _folders(members: Sequence[Shown]) -> dict[str, Path]:
-    """Folders of renders by the names of the methods."""
-    return {name: one.predictions for name, one in zip(names_of(members), members, strict=True)}
+def _folders(members: Sequence[EvaluationImages]) -> dict[str, Path]:
+    """Folders of predictions by display name."""
+    return {name: one.predictions for name, one in zip(display_names(members), members, strict=True)}
 
 
 def _outdated(path: Path, source: Path) -> bool:
-    """Whether a file is missing or older than what it was made from."""
+    """Whether a file is missing or older than its source."""
     return not path.is_file() or not source.is_file() or path.stat().st_mtime_ns < source.stat().st_mtime_ns

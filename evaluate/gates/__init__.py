@@ -1,1 +1,1 @@
-"""Checks that fail a build: limits and regressions."""
+"""Gates for continuous integration: limits and regressions."""

@@ -1,8 +1,7 @@
-"""Gates for continuous integration: floors, ceilings and comparison with an earlier result."""
+"""Gate checks: floors, ceilings and comparison with earlier results, and their reports (JUnit, GitHub)."""
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,17 +10,18 @@ from xml.etree import ElementTree
 
 from evaluate.metrics.catalogue import METRICS, metric_of
 from evaluate.protocols.results import Evaluation
-from ggavatar.errors import InputError
+from ggavatar.errors import InputError, nearest
+from ggavatar.io.atomic import write_text
 
 
 @dataclass(frozen=True)
 class Check:
-    """One comparison and how it went.
+    """The outcome of one comparison.
 
     Attributes:
         case: Subject, method and metric.
-        passed: Whether the number holds.
-        message: The number, the limit and the distance between them.
+        passed: Whether the limit holds.
+        message: The value, the limit and the margin between them.
     """
 
     case: str
@@ -30,31 +30,34 @@ class Check:
 
 
 def parse_limits(texts: Sequence[str], flag: str) -> dict[str, float]:
-    """`psnr=30` … as numbers by metric; `InputError` names the nearest metric for an unknown one."""
+    """Numbers by metric from texts such as `psnr=30`.
+
+    Raises:
+        InputError: Not METRIC=NUMBER, or an unknown metric; the message suggests the nearest name.
+    """
     limits = {}
     for text in texts:
         name, equals, number = text.partition("=")
         limits[name] = _finite(number)
         if not math.isfinite(limits[name]):
-            raise InputError(f"{flag}: expected METRIC=NUMBER such as psnr=30, got {text!r}")
+            raise InputError(f"{flag}: expected METRIC=NUMBER such as psnr=30, found {text!r}")
         base = name.partition("@")[0]
         if not equals or (base not in METRICS and base not in ("ssim", "lpips")):
-            close = difflib.get_close_matches(base, list(METRICS), n=1)
-            hint = f" (perhaps {close[0]!r}?)" if close else ""
-            raise InputError(f"{flag}: unknown metric {name!r}{hint}; known are {', '.join(METRICS)}")
+            suggestion = nearest(base, METRICS)
+            raise InputError(f"{flag}: unknown metric {name!r}{suggestion}; known are {', '.join(METRICS)}")
     return limits
 
 
 def _finite(text: str) -> float:
-    """The number that a text stands for; NaN if it is none."""
+    """The number in a text; NaN if it is not a number."""
     try:
         return float(text)
     except ValueError:
         return math.nan
 
 
-def resolved(name: str, evaluation: Evaluation) -> str:
-    """A metric's full name: `ssim` and `lpips` stand for the variant in the protocol's main table."""
+def full_metric_name(name: str, evaluation: Evaluation) -> str:
+    """A metric's full name: `ssim` and `lpips` mean the variant in the protocol's main table."""
     if name in evaluation.columns:
         return name
     family = [metric for metric in evaluation.protocol.table_metrics if metric.startswith(name)]
@@ -68,17 +71,17 @@ def resolved(name: str, evaluation: Evaluation) -> str:
 def check_limits(
     evaluations: Sequence[Evaluation], floors: Mapping[str, float], ceilings: Mapping[str, float]
 ) -> list[Check]:
-    """Whether every mean reaches its floor and stays under its ceiling; a metric without value fails."""
+    """Check that every mean reaches its floor and stays below its ceiling; a metric without a value fails."""
     checks = []
     for evaluation in evaluations:
         for limits, sign in ((floors, 1), (ceilings, -1)):
             for wanted, limit in limits.items():
-                checks.append(_against_limit(evaluation, resolved(wanted, evaluation), limit, sign))
+                checks.append(_against_limit(evaluation, full_metric_name(wanted, evaluation), limit, sign))
     return checks
 
 
 def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -> Check:
-    case = f"{_named(evaluation)}/{name}"
+    case = f"{_label(evaluation)}/{name}"
     found = evaluation.summary(name)
     if found.mean is None:
         if found.identical and sign > 0:
@@ -90,24 +93,24 @@ def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -
     return Check(case, margin >= 0, f"{name} is {found.mean:.6g}, the {word} {limit:g} {state} {abs(margin):.6g}")
 
 
-def _named(evaluation: Evaluation) -> str:
-    """Subject and method, and the seed where it is known."""
+def _label(evaluation: Evaluation) -> str:
+    """Subject and method, and the seed if known."""
     seed = "" if evaluation.seed is None else f"/seed {evaluation.seed}"
     return f"{evaluation.subject}/{evaluation.method}{seed}"
 
 
-def compare(
+def compare_with_baselines(
     evaluations: Sequence[Evaluation], baselines: Sequence[Evaluation], tolerances: Mapping[str, float]
 ) -> list[Check]:
-    """Whether no mean is worse than in a baseline by more than its tolerance.
+    """Check that no mean is worse than in a baseline by more than its tolerance.
 
     Args:
         evaluations: The new results.
-        baselines: The old results; each must have a new counterpart of the same subject, method and protocol.
-        tolerances: By metric; others have the tolerance of `evaluate.metrics.catalogue`.
+        baselines: The old results; each needs a new counterpart of the same subject, method and protocol.
+        tolerances: Tolerances by metric; the default is that of `evaluate.metrics.catalogue`.
 
     Raises:
-        InputError: The protocols differ, so that the numbers do not compare.
+        InputError: The protocols differ, so the numbers are not comparable.
     """
     checks = []
     for old in baselines:
@@ -117,12 +120,13 @@ def compare(
         if named and not matching:
             raise InputError(
                 f"baseline {old.subject}/{old.method} was scored under {old.protocol.id} ({old.protocol.digest[:12]}), "
-                f"now under {named[0].protocol.id} ({named[0].protocol.digest[:12]}); such numbers do not compare"
+                f"now under {named[0].protocol.id} ({named[0].protocol.digest[:12]}); "
+                "such numbers are not comparable; score with the baseline's protocol"
             )
         if not matching:
-            checks.append(Check(_named(old), False, "is in the baseline but was not evaluated"))
+            checks.append(Check(_label(old), False, "is in the baseline but was not evaluated"))
             continue
-        limits = {resolved(name, old): value for name, value in tolerances.items()}
+        limits = {full_metric_name(name, old): value for name, value in tolerances.items()}
         checks += [_against_baseline(matching[0], old, name, limits) for name in old.columns if _has(old, name)]
     return checks
 
@@ -133,7 +137,7 @@ def _has(evaluation: Evaluation, name: str) -> bool:
 
 
 def _against_baseline(new: Evaluation, old: Evaluation, name: str, limits: Mapping[str, float]) -> Check:
-    case = f"{_named(new)}/{name}"
+    case = f"{_label(new)}/{name}"
     metric = metric_of(name)
     before, now = old.summary(name), new.summary(name)
     if now.mean is None:
@@ -150,7 +154,7 @@ def _against_baseline(new: Evaluation, old: Evaluation, name: str, limits: Mappi
 
 
 def to_junit(checks: Sequence[Check]) -> str:
-    """Checks as JUnit XML, one test case each."""
+    """Checks as JUnit XML, one test case per check."""
     failures = sum(not check.passed for check in checks)
     root = ElementTree.Element("testsuites")
     suite = ElementTree.SubElement(
@@ -168,7 +172,7 @@ def to_junit(checks: Sequence[Check]) -> str:
 
 
 def to_github(checks: Sequence[Check]) -> str:
-    """Checks as workflow commands that GitHub shows as annotations."""
+    """Checks as GitHub workflow commands, shown as annotations."""
     return "".join(
         f"::{'notice' if check.passed else 'error'} title={_property(check.case)}::{_message(check.message)}\n"
         for check in checks
@@ -176,17 +180,15 @@ def to_github(checks: Sequence[Check]) -> str:
 
 
 def _message(text: str) -> str:
-    """Text on one line, as a workflow command holds it."""
+    """Text escaped for the message of a workflow command."""
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 
 def _property(text: str) -> str:
-    """Text without characters that end a property of a workflow command either."""
+    """Text escaped for a property of a workflow command."""
     return _message(text).replace(":", "%3A").replace(",", "%2C")
 
 
 def write_junit(path: Path, checks: Sequence[Check]) -> None:
     """Write the JUnit file."""
-    from evaluate.protocols.results import write_text
-
     write_text(path, to_junit(checks))

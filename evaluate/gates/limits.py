@@ -1,11 +1,11 @@
-"""The gates of a command: read and checked before anything takes time, applied when there are results."""
+"""The gates of a command: validated before any work starts, applied to the results at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluate.gates.checks import Check, check_limits, compare, parse_limits
+from evaluate.gates.checks import Check, check_limits, compare_with_baselines, parse_limits
 from evaluate.options import Gates
 from evaluate.protocols.results import Evaluation, read_results
 from ggavatar.errors import InputError
@@ -13,13 +13,13 @@ from ggavatar.errors import InputError
 
 @dataclass(frozen=True)
 class Limits:
-    """What results must hold.
+    """Limits that results must satisfy.
 
     Attributes:
-        floors: Least means by metric.
-        ceilings: Greatest means by metric.
-        baselines: Earlier results that must not be undercut.
-        tolerances: By how much a mean may undercut them, by metric.
+        floors: Smallest allowed means by metric.
+        ceilings: Largest allowed means by metric.
+        baselines: Earlier results that the new ones must not be worse than.
+        tolerances: How much worse a mean may be, by metric.
     """
 
     floors: Mapping[str, float]
@@ -28,19 +28,19 @@ class Limits:
     tolerances: Mapping[str, float]
 
     def checks(self, evaluations: Sequence[Evaluation]) -> list[Check]:
-        """Every comparison and how it went."""
+        """The outcome of every comparison."""
         checks = check_limits(evaluations, self.floors, self.ceilings)
-        return checks + compare(evaluations, self.baselines, self.tolerances)
+        return checks + compare_with_baselines(evaluations, self.baselines, self.tolerances)
 
 
-def limits_of(gates: Gates) -> Limits:
-    """The limits that the options name.
+def read_limits(gates: Gates) -> Limits:
+    """Read the limits from the options.
 
     Raises:
-        InputError: One cannot be read, there is no such earlier result, or there is a report asked for and no gate.
+        InputError: A limit or a baseline cannot be read, or a report is requested without a gate.
     """
     if gates.tolerance and not gates.compare:
-        raise InputError("--tolerance: expected --compare FILE beside it, found none; name the earlier metrics.json")
+        raise InputError("--tolerance: expected --compare FILE as well, found none; pass the earlier metrics.json")
     if (gates.junit or gates.github) and not (gates.fail_below or gates.fail_above or gates.compare):
         raise InputError("--junit, --github: expected --fail-below, --fail-above or --compare to report, found none")
     return Limits(

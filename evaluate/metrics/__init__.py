@@ -1,1 +1,1 @@
-"""Measures of images and sequences, each a pure function."""
+"""Image, face and temporal metrics, and what an avatar costs."""

@@ -1,4 +1,4 @@
-"""Every metric the tables know: its name, its exact definition (part of a protocol's digest) and how it is shown."""
+"""The catalogue of metrics: name, exact definition (part of a protocol's digest) and presentation in tables."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from types import MappingProxyType
 
 @dataclass(frozen=True)
 class Metric:
-    """What a table and a protocol must know about a number.
+    """A metric: how protocols define it and how tables present it.
 
     Attributes:
         name: Key in files; a region is appended with `@`, as in `psnr@face`.
         title: Column heading.
-        higher_is_better: Which end is shaded.
-        digits: Decimals in tables; ranks are taken after rounding to them.
-        unit: Of the value, or "1" for a ratio.
+        higher_is_better: Direction of improvement.
+        digits: Decimals in tables; methods are ranked after rounding to them.
+        unit: Unit of the value, or "1" if it has none.
         definition: The exact definition; changing it changes the digest of every protocol that uses the metric.
-        tolerance: How far `--compare` lets the mean fall when the user names no tolerance.
+        tolerance: How much worse the mean may be under `--compare` when the user names no tolerance.
     """
 
     name: str
@@ -31,10 +31,11 @@ class Metric:
 
     @property
     def arrow(self) -> str:
-        """The direction that is better."""
+        """An arrow in the direction of improvement."""
         return "↑" if self.higher_is_better else "↓"
 
 
+# The definitions below enter the digests of published protocols: their wording must not change.
 _WINDOW = "11x11 Gaussian window of sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1"
 _LUMA = "on 0.299 R + 0.587 G + 0.114 B"
 _NO_FACE = "frames without a face in render or truth are left out and counted"
@@ -128,7 +129,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric
 TEMPORAL = ("frame_difference", "flicker")
 FACES = ("landmark_distance", "landmark_jitter", "expression_distance", "identity")
 REGION_METRICS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ssim_3dgs_luma")
-"""Metrics that have a masked form, `NAME@REGION`."""
+"""Metrics that can be restricted to a region, `NAME@REGION`."""
 
 REGION_DEFINITION = (
     "mask-weighted mean: sum of weight x squared (or absolute) error over 3 sum of weights; "
@@ -137,7 +138,7 @@ REGION_DEFINITION = (
 
 
 def metric_of(name: str) -> Metric:
-    """The metric behind a column name, whose region after `@` is ignored.
+    """The metric of a column name; a region after `@` is ignored.
 
     Raises:
         KeyError: Unknown metric.
@@ -146,6 +147,6 @@ def metric_of(name: str) -> Metric:
 
 
 def title_of(name: str) -> str:
-    """Column heading of a name with or without a region."""
+    """Column heading of a metric name with or without a region."""
     base, _, region = name.partition("@")
     return METRICS[base].title + (f" {region}" if region else "")

@@ -1,4 +1,4 @@
-"""Faces found by networks that OpenCV runs: landmark distance and jitter, expression distance, likeness. No torch."""
+"""Face metrics from networks that OpenCV runs: landmark error, expression distance, identity. Needs no torch."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ from ggavatar.landmarks.tracker import LEFT_EYE_OUTER, RIGHT_EYE_OUTER, Landmark
 from ggavatar.pretrained.lpips import NO_WEIGHTS, VARIABLE, first_file, sha256_of
 
 BUNDLE = "face_landmarker.task"
-"""MediaPipe's face landmarker, which ggavatar-prep uses too: 478 landmarks, and 52 expression scores made of them."""
+"""MediaPipe's face landmarker, also used by ggavatar-prep: 478 landmarks and 52 expression scores."""
 
-RECOGNISER = "face_recognition_sface_2021dec.onnx"
-"""SFace (Zhong et al. 2021), 128 numbers of a face aligned to 112×112 px."""
+RECOGNIZER = "face_recognition_sface_2021dec.onnx"
+"""SFace (Zhong et al. 2021): a 128-dimensional embedding of a face aligned to 112×112 px."""
 
 FIVE_POINTS = ((33, 133), (362, 263), (4,), (61,), (291,))
-"""What SFace is aligned by, as means of landmarks: the subject's right and left eye, nose, right and left corner of
-the mouth."""
+"""Landmarks whose means are SFace's alignment points: the subject's right and left eye, nose, right and left mouth
+corner."""
 
 Image = UInt8[np.ndarray, "H W 3"]
 Points = Float[np.ndarray, "L 2"]
 
 
 class Face(NamedTuple):
-    """What the networks say of the face in one picture."""
+    """Landmarks (px) and expression scores of the face in one image."""
 
     points: Points
     expression: Float[np.ndarray, " E"]
 
 
 class FaceValues(NamedTuple):
-    """What the faces of one pair say.
+    """Face metrics of one pair of images.
 
     Attributes:
-        values: Metrics by name; absent where no face was found in one of the two, never zero.
-        landmark_error: Render minus truth, in distances between the truth's eyes; None without both faces.
+        values: Values by metric name; absent, never zero, where no face was found in one of the two.
+        landmark_error: Prediction minus ground truth, in units of the ground truth's eye distance; None if no face was
+            found in one of the two.
     """
 
     values: dict[str, float]
@@ -50,7 +51,7 @@ class FaceValues(NamedTuple):
 
 
 class FaceMetrics:
-    """The metrics of faces that a protocol asks for, loaded once and used for every pair from any thread.
+    """The face metrics of a protocol: loaded once, usable from any thread.
 
     Attributes:
         missing: Metrics that cannot be measured, with the reason.
@@ -58,39 +59,39 @@ class FaceMetrics:
     """
 
     def __init__(self, names: Sequence[str], folders: Sequence[Path]) -> None:
-        bundle, recogniser = first_file(folders, (BUNDLE,)), first_file(folders, (RECOGNISER,))
-        lacking = {name: BUNDLE for name in names if not bundle}
-        if "identity" in names and not recogniser:
-            lacking["identity"] = RECOGNISER
+        bundle, recognizer = first_file(folders, (BUNDLE,)), first_file(folders, (RECOGNIZER,))
+        absent = {name: BUNDLE for name in names if not bundle}
+        if "identity" in names and not recognizer:
+            absent["identity"] = RECOGNIZER
         self.missing = {
-            name: f"{NO_WEIGHTS}: {file} not found; put the file into ${VARIABLE} or name --models"
-            for name, file in lacking.items()
+            name: f"{NO_WEIGHTS}: {file} not found; put it into ${VARIABLE} or pass --models DIR"
+            for name, file in absent.items()
         }
         self._names = [name for name in names if name not in self.missing]
-        used = [bundle] * bool(self._names) + [recogniser] * ("identity" in self._names)
+        used = [bundle] * bool(self._names) + [recognizer] * ("identity" in self._names)
         self.hashes = {f"faces/{path.name}": sha256_of(path) for path in used if path}
         self._finder = LandmarkTracker(bundle) if bundle and self._names else None
-        self._recogniser: Any = _recogniser(recogniser) if recogniser and "identity" in self._names else None
+        self._recognizer: Any = _recognizer(recognizer) if recognizer and "identity" in self._names else None
         self._lock = threading.Lock()
 
     def measure(self, prediction: Image, truth: Image) -> FaceValues:
-        """Values of one pair."""
+        """Face metrics of one pair of images."""
         if not self._names:
             return FaceValues({}, None)
         with self._lock:
-            render, real = self._face(prediction), self._face(truth)
-            if render is None or real is None:
+            predicted, real = self._face(prediction), self._face(truth)
+            if predicted is None or real is None:
                 return FaceValues({}, None)
             values = {}
             if "identity" in self._names:
-                values["identity"] = cosine(self._feature(prediction, render), self._feature(truth, real))
-        error = landmark_error(render.points, real.points)
+                values["identity"] = cosine(self._feature(prediction, predicted), self._feature(truth, real))
+        error = landmark_error(predicted.points, real.points)
         values["landmark_distance"] = float(np.linalg.norm(error, axis=1).mean())
-        values["expression_distance"] = float(np.abs(render.expression - real.expression).mean())
+        values["expression_distance"] = float(np.abs(predicted.expression - real.expression).mean())
         return FaceValues({name: value for name, value in values.items() if name in self._names}, error)
 
     def _face(self, image: Image) -> Face | None:
-        """The face in one picture, whatever was seen in others; None if there is none."""
+        """The face in one image, independent of earlier images; None if there is none."""
         assert self._finder is not None
         self._finder.reset()
         found = self._finder.landmarks(image)
@@ -99,21 +100,21 @@ class FaceMetrics:
         return Face(found.points, np.delete(found.blendshapes, NAMES.index("neutral")))
 
     def _feature(self, image: Image, face: Face) -> np.ndarray:
-        aligned = self._recogniser.alignCrop(np.ascontiguousarray(image[..., ::-1]), alignment_row(face.points))
-        return self._recogniser.feature(aligned).ravel().copy()
+        aligned = self._recognizer.alignCrop(np.ascontiguousarray(image[..., ::-1]), alignment_row(face.points))
+        return self._recognizer.feature(aligned).ravel().copy()
 
 
 def alignment_row(points: Float[np.ndarray, "478 2"]) -> Float[np.ndarray, "15"]:
-    """What OpenCV's SFace wants: box (left, top, width, height), five points, confidence; it aligns by the points."""
+    """Input of OpenCV's SFace: box (left, top, width, height), five points, confidence; only the points matter."""
     five = [points[list(indices)].mean(axis=0) for indices in FIVE_POINTS]
     low, high = points.min(axis=0), points.max(axis=0)
     return np.concatenate((low, high - low, *five, [1.0])).astype(np.float32)
 
 
 def landmark_error(prediction: Points, truth: Points) -> Points:
-    """Render minus truth in distances between the outer corners of the truth's eyes, so that all head sizes compare."""
-    across = float(np.linalg.norm(truth[RIGHT_EYE_OUTER] - truth[LEFT_EYE_OUTER]))
-    return (prediction - truth) / max(across, 1e-6)
+    """Prediction minus ground truth, in units of the ground truth's outer eye-corner distance."""
+    eye_distance = float(np.linalg.norm(truth[RIGHT_EYE_OUTER] - truth[LEFT_EYE_OUTER]))
+    return (prediction - truth) / max(eye_distance, 1e-6)
 
 
 def cosine(first: Float[np.ndarray, " D"], second: Float[np.ndarray, " D"]) -> float:
@@ -122,8 +123,8 @@ def cosine(first: Float[np.ndarray, " D"], second: Float[np.ndarray, " D"]) -> f
     return float(np.dot(first, second)) / scale if scale > 0 else 0.0
 
 
-def _recogniser(path: Path) -> Any:
+def _recognizer(path: Path) -> Any:
     try:
         return cv2.FaceRecognizerSF.create(str(path), "")
     except cv2.error as error:
-        raise InputError(f"{path}: expected an SFace network that OpenCV reads; get the file again") from error
+        raise InputError(f"{path}: expected an SFace network that OpenCV can read; download the file again") from error

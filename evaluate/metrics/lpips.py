@@ -1,4 +1,7 @@
-"""LPIPS (Zhang et al. 2018, v0.1) in plain torch, with weights the user provides."""
+"""LPIPS (Zhang et al. 2018, v0.1) in plain torch, with weights the user provides.
+
+The lpips package would need torchvision, which we do not depend on; it is the oracle in the tests.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,14 @@ from ggavatar.errors import InputError
 from ggavatar.pretrained.lpips import LpipsFiles, find_lpips, sha256_of
 
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-"""Published constants that bring RGB in [-1, 1] to the statistics of ImageNet."""
+"""Published constants that normalize RGB in [-1, 1] to the statistics of ImageNet."""
 
 MAX_WEIGHT_BYTES = 1 << 30
 UNIT_RANGE = "_unit_range"
 
 
 class Fire(nn.Module):
-    """SqueezeNet's block: 1×1 squeeze, then 1×1 and 3×3 expansions side by side (Iandola et al. 2016, Sec. 3.2)."""
+    """SqueezeNet's Fire module: 1×1 squeeze, then parallel 1×1 and 3×3 expansions (Iandola et al. 2016, Sec. 3.2)."""
 
     def __init__(self, channels: int, squeezed: int, expanded: int) -> None:
         super().__init__()
@@ -73,7 +76,7 @@ NETWORKS = {"alex": _alexnet, "vgg": _vgg16, "squeeze": _squeezenet}
 
 
 class Lpips(nn.Module):
-    """Distance of deep features: Σ over layers of the spatial mean of w · (unit features − unit features)².
+    """Distance of deep features: sum over layers of the spatial mean of w · (difference of unit features)².
 
     Args:
         net: `alex`, `vgg` or `squeeze`.
@@ -96,10 +99,10 @@ class Lpips(nn.Module):
         """LPIPS of image pairs.
 
         Args:
-            first: RGB in [-1, 1]. Feeding [0, 1] instead is what the 3DGS lineage reports; name it so.
+            first: RGB in [-1, 1]. Code derived from 3DGS feeds [0, 1] instead; such values carry another name.
             second: Likewise.
         """
-        # Channels last: on CPUs the pooling takes a tenth of the time, the whole network three quarters.
+        # Channels last: on CPUs pooling takes a tenth of the time, the whole network three quarters.
         x = torch.cat((first, second)).contiguous(memory_format=torch.channels_last)
         x = (x - self.shift).div_(self.scale)
         total = x.new_zeros(len(first))
@@ -116,23 +119,23 @@ def load_lpips(net: str, files: LpipsFiles) -> Lpips:
     """LPIPS with weights from files; nothing in them can run code.
 
     Raises:
-        InputError: A file is damaged, or lacks layers the network needs.
+        InputError: A file is damaged, or lacks layers of the network.
     """
     model = Lpips(net)
     backbone = _load(files.backbone)
     features = {key.removeprefix("features."): value for key, value in backbone.items() if key.startswith("features.")}
     wanted = model.features.state_dict()
-    lacking = [key for key, value in wanted.items() if key not in features or features[key].shape != value.shape]
-    if lacking:
+    missing = [key for key, value in wanted.items() if key not in features or features[key].shape != value.shape]
+    if missing:
         raise InputError(
-            f"{files.backbone}: expected the layers of {net}, found none or another shape for features.{lacking[0]}; "
+            f"{files.backbone}: expected the layers of {net}, found none or another shape for features.{missing[0]}; "
             "use torchvision's file"
         )
     model.features.load_state_dict({key: features[key] for key in wanted})
     heads = _load(files.head)
     names = [f"lin{k}.model.1.weight" for k in range(len(model.taps))]
-    if missing := [name for name in names if name not in heads]:
-        raise InputError(f"{files.head}: expected {missing[0]}, found {sorted(heads)[:3]}; use the heads of LPIPS v0.1")
+    if absent := [name for name in names if name not in heads]:
+        raise InputError(f"{files.head}: expected {absent[0]}, found {sorted(heads)[:3]}; use the heads of LPIPS v0.1")
     model.heads = [heads[name].float() for name in names]
     return model.eval().requires_grad_(False)
 
@@ -140,12 +143,12 @@ def load_lpips(net: str, files: LpipsFiles) -> Lpips:
 def _load(path: Path) -> dict[str, Any]:
     """Tensors by name."""
     if path.stat().st_size > MAX_WEIGHT_BYTES:
-        raise InputError(f"{path}: a weight file is not larger than {MAX_WEIGHT_BYTES >> 30} GiB")
+        raise InputError(f"{path}: expected a weight file of at most {MAX_WEIGHT_BYTES >> 30} GiB, found a larger one")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         raise InputError(
-            f"{path}: cannot be read as plain tensors ({type(error).__name__}); get the file again"
+            f"{path}: expected plain tensors, cannot read the file ({type(error).__name__}); download it again"
         ) from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected tensors by name, found {type(content).__name__}; use torchvision's file")
@@ -153,12 +156,12 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def to_signed(image: UInt8[np.ndarray, "H W 3"]) -> Float[Tensor, "1 3 H W"]:
-    """8-bit RGB as floats in [-1, 1]."""
+    """8-bit RGB as a float tensor in [-1, 1]."""
     return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None].float() / 127.5 - 1
 
 
 class PerceptualMetrics:
-    """The learned metrics of a protocol, loaded once and used for every pair from any thread.
+    """The learned metrics of a protocol: loaded once, usable from any thread.
 
     Attributes:
         missing: Metrics that cannot be measured, with the reason.
@@ -184,9 +187,9 @@ class PerceptualMetrics:
 
     @torch.inference_mode()
     def measure(self, prediction: UInt8[np.ndarray, "H W 3"], truth: UInt8[np.ndarray, "H W 3"]) -> Mapping[str, float]:
-        """Values by metric name of one pair."""
+        """Values by metric name of one pair of images."""
         signed = to_signed(prediction), to_signed(truth)
-        # torch's own threads share one pair; several pairs at once would only fight for the same processors.
+        # torch parallelizes over one pair; several pairs at once would only compete for the same cores.
         with self._lock:
             return {name: self._distance(name, *signed) for name in self._names}
 
@@ -197,5 +200,5 @@ class PerceptualMetrics:
 
 
 def network_of(name: str) -> str:
-    """`alex`, `vgg` or `squeeze` of a metric's name."""
+    """The network of a metric's name: `alex`, `vgg` or `squeeze`."""
     return name.removeprefix("lpips_").removesuffix(UNIT_RANGE)

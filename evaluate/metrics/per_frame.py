@@ -1,4 +1,4 @@
-"""All pixel metrics of one frame in one go, sharing what they have in common."""
+"""All pixel metrics of one frame, computed together so that intermediate maps are shared."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ SSIM_NAMES = ("ssim", "ssim_luma", "ssim_3dgs", "ssim_3dgs_luma")
 def measure_pixels(
     prediction: Image, truth: Image, columns: Sequence[str], regions: Mapping[str, Weights]
 ) -> dict[str, Value]:
-    """Per-image metrics of a pair.
+    """Pixel metrics of one pair of images.
 
     Args:
-        prediction: The render.
-        truth: The ground truth.
-        columns: Names to measure, with `@region` for masked ones; names that are no pixel metric are left out.
+        prediction: Rendered image.
+        truth: Ground truth.
+        columns: Names to measure, with `@region` for masked ones; other than pixel metrics are ignored.
         regions: Weights in [0, 1] by region.
 
     Returns:
-        Values by column. PSNR of identical images is infinite; None stands for an empty mask, for a region without
-        mask, or for an image too small for the metric.
+        Values by column. The PSNR of identical images is infinite; None means an empty or absent mask, or an image
+        too small for the metric.
     """
     maps = _ssim_maps(prediction, truth, columns)
     masked = {column.partition("@")[0] for column in columns if "@" in column}
@@ -48,7 +48,7 @@ def measure_pixels(
 
 
 def _ms_ssim(prediction: Image, truth: Image) -> Value:
-    large = min(prediction.shape[:2]) > ssim.MS_SHORTEST
+    large = min(prediction.shape[:2]) > ssim.MS_MIN_SIDE
     return ssim.ms_ssim(prediction, truth) if large else None
 
 
@@ -61,7 +61,7 @@ _WHOLE: Mapping[str, Callable[[Image, Image], Value]] = {
 
 
 def _ssim_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[str, np.ndarray]:
-    """The SSIM maps that the columns need; valid ones are cut from the padded ones, so each pair is filtered once."""
+    """The SSIM maps that the columns need; valid maps are cropped from padded ones, so each pair is filtered once."""
     names = {column.partition("@")[0] for column in columns} & set(SSIM_NAMES)
     if min(prediction.shape[:2]) < ssim.WINDOW:
         names -= {"ssim", "ssim_luma"}
@@ -77,13 +77,13 @@ def _ssim_maps(prediction: Image, truth: Image, columns: Sequence[str]) -> dict[
 
 
 def _error_maps(prediction: Image, truth: Image, names: Set[str]) -> dict[str, np.ndarray]:
-    """The errors per pixel that masked columns need."""
+    """The error maps that masked columns need."""
     found = {"l1": pixels.absolute_error(prediction, truth)} if "l1" in names else {}
     return found | ({"mse": pixels.squared_error(prediction, truth)} if names & {"psnr", "mse"} else {})
 
 
 def _masked(name: str, maps: Mapping[str, np.ndarray], weights: Weights | None) -> Value:
-    """The mean of a map over a region; None without mask or map."""
+    """The mean of a map over a region; None if there is no mask or no map."""
     if weights is None:
         return None
     if name == "psnr":

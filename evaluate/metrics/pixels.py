@@ -1,7 +1,7 @@
-"""Pixel-wise metrics of one image pair, as pure functions on numpy arrays.
+"""Pixel-wise metrics of one pair of images, as pure functions on numpy arrays.
 
-Images are H×W×3, either uint8 (range 255) or floating point in [0, 1] (range 1). Results are in units of the range, so
-both give the same.
+Images are H×W×3, either uint8 (range 255) or floating point in [0, 1] (range 1). Results are relative to the range, so
+both give the same values.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 
 Image = UInt8[np.ndarray, "_H _W 3"] | Float[np.ndarray, "_H _W 3"]
 Weights = Float[np.ndarray, "_H _W"]
-"""Sizes have underscores where a function compares them itself and says what is wrong."""
+"""Dimensions with underscores are not checked by jaxtyping: the functions compare them and explain a mismatch."""
 
 
 def mean_squared_error(prediction: Image, target: Image) -> float:
@@ -41,24 +41,24 @@ def mean_absolute_error(prediction: Image, target: Image) -> float:
 
 
 def squared_error(prediction: Image, target: Image) -> Float[np.ndarray, "H W"]:
-    """Squared difference of every pixel, mean over its channels, range 1."""
+    """Squared difference at every pixel, mean over channels, range 1."""
     _require_alike(prediction, target)
     difference = cv2.absdiff(prediction, target).astype(np.float32) / np.float32(_range(prediction))
     return np.square(difference).mean(axis=2)
 
 
 def absolute_error(prediction: Image, target: Image) -> Float[np.ndarray, "H W"]:
-    """Absolute difference of every pixel, mean over its channels, range 1."""
+    """Absolute difference at every pixel, mean over channels, range 1."""
     _require_alike(prediction, target)
     difference = cv2.absdiff(prediction, target)
     return difference.mean(axis=2, dtype=np.float32) / np.float32(_range(prediction))
 
 
 def masked_mean(values: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
-    """Mean of an error or SSIM map over a region: Σ w·value / Σ w; None for a mask without weight.
+    """Mean of an error or SSIM map over a region: Σ w·value / Σ w; None if all weights are zero.
 
     PointAvatar and MonoGaussianAvatar divide the masked sum by all pixels instead, which adds −10·log10(foreground
-    share) dB to PSNR. Painting the outside black in both images would lift SSIM towards 0.99.
+    fraction) dB to PSNR. Painting the outside black in both images would raise SSIM toward 0.99.
 
     Raises:
         ValueError: The mask has another size.
@@ -77,19 +77,19 @@ def decibels(squared_error: float) -> float:
 def psnr(prediction: Image, target: Image) -> float:
     """Peak signal-to-noise ratio of one image over all pixels and channels, dB; infinite for identical images.
 
-    The 3DGS code, given [3, H, W], averages one PSNR per channel and comes out up to 0.05 dB higher.
+    The 3DGS code averages one PSNR per channel of a [3, H, W] image, which is up to 0.05 dB higher.
     """
     return decibels(mean_squared_error(prediction, target))
 
 
 def masked_psnr(squared_errors: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
-    """PSNR of the masked mean of `squared_error`, dB; None for a mask without weight."""
+    """PSNR of the masked mean of `squared_error`, dB; None if all weights are zero."""
     error = masked_mean(squared_errors, weights)
     return None if error is None else decibels(error)
 
 
 def pooled_psnr(squared_errors: Iterable[float]) -> float | None:
-    """PSNR of the mean of the images' squared errors, dB: at most the mean of their PSNRs. None without images."""
+    """PSNR of the mean squared error over all images, dB: at most the mean of their PSNRs; None without images."""
     errors = list(squared_errors)
     return decibels(math.fsum(errors) / len(errors)) if errors else None
 

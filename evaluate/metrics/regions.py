@@ -1,4 +1,4 @@
-"""Regions of the image: bands and painted outsides from masks, and the parts of a face from a projected head mesh."""
+"""Image regions: boundary bands and fills from masks, and parts of the face from a projected head mesh."""
 
 from __future__ import annotations
 
@@ -20,30 +20,31 @@ VERTEX_SETS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "below": ("neck", "shoulders"),
     }
 )
-"""Part of the image by the vertex sets of a head model that make it up; those a head has are joined."""
+"""Vertex sets of a head model that make up each region; those that a head has are joined."""
 
 MESH_REGIONS = ("face", "mouth", "eyes")
-"""Parts that are measured as they are; the hair is made from the others and the person's mask."""
+"""Regions measured as they are; hair is derived from the others and the person's mask."""
 
-BAND_SHARE = 0.02
+BAND_FRACTION = 0.02
+"""Half width of the boundary band, as a fraction of the shorter image side."""
 
 
 def boundary_band(mask: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
-    """Band around the outline of a mask at one half: 2 % of the shorter side to either side, weights 0 and 1.
+    """Band around the outline of a mask thresholded at 0.5: 2 % of the shorter side on each side, weights 0 and 1.
 
-    Hair and shoulders are won and lost here. A mask without outline (empty, or the whole picture) has no band.
+    It shows errors of hair and shoulders. A mask without an outline (empty or full) has no band.
     """
-    radius = max(1, round(min(mask.shape) * BAND_SHARE))
+    radius = max(1, round(min(mask.shape) * BAND_FRACTION))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     inside = (mask >= 0.5).astype(np.uint8)
     edge = {"borderType": cv2.BORDER_REPLICATE}
     return (cv2.dilate(inside, disc, **edge) - cv2.erode(inside, disc, **edge)).astype(np.float32)
 
 
-def painted_outside(
+def fill_outside(
     image: UInt8[np.ndarray, "H W 3"], inside: Float[np.ndarray, "H W"], color: Sequence[float]
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """The image with everything outside a region (weight below one half) in one colour, sRGB in [0, 1]."""
+    """The image with everything outside a region (weight below 0.5) in one color, sRGB in [0, 1]."""
     painted = image.copy()
     painted[inside < 0.5] = np.round(np.asarray(color) * 255)
     return painted
@@ -52,14 +53,14 @@ def painted_outside(
 def hair_region(
     person: UInt8[np.ndarray, "H W"], scalp: UInt8[np.ndarray, "H W"], covered: UInt8[np.ndarray, "H W"]
 ) -> UInt8[np.ndarray, "H W"]:
-    """Top of the person: what the person's mask has above the lower end of the visible scalp, without face and neck.
+    """Hair: the person's mask down to the lowest visible scalp row, without face and neck.
 
-    Hair stands off the scalp, so the mesh only tells how far down to look; a hat counts as hair.
+    Hair stands off the scalp, so the mesh only bounds it from below; a hat counts as hair.
 
     Args:
-        person: Coverage of the person.
-        scalp: Visible scalp of the mesh.
-        covered: Visible face, neck and shoulders of the mesh.
+        person: Person mask, 255 inside.
+        scalp: Visible scalp of the mesh, non-zero inside.
+        covered: Visible face, neck and shoulders of the mesh, non-zero inside.
     """
     rows = np.flatnonzero(scalp.any(axis=1))
     hair = np.where(covered > 0, np.uint8(0), person)
@@ -76,18 +77,18 @@ def mesh_regions(
 ) -> dict[str, UInt8[np.ndarray, "H W"]]:
     """Visible parts of a head mesh as masks, 255 inside.
 
-    Triangles are painted from back to front with the set they belong to (all three corners in it), so a part hidden
-    behind another one does not show. Sets may overlap: each is painted on its own.
+    Triangles are drawn from back to front; one belongs to a region if all its corners do, so occluded parts do not
+    show. Regions may overlap: each is drawn on its own.
 
     Args:
         points: Projected vertices, px.
-        depth: Camera z of the vertices, m; triangles with a corner at or behind the camera are left out.
+        depth: Camera z of the vertices, m; triangles with a corner at or behind the camera are skipped.
         faces: Vertex indices.
-        vertex_sets: Vertices by name of the set.
+        vertex_sets: Vertex indices by name of the set.
         size: Width and height of the masks, px.
 
     Returns:
-        Masks by name of `VERTEX_SETS` that the vertex sets can make; others are absent.
+        Masks by region of `VERTEX_SETS`; regions without any of their vertex sets are absent.
     """
     order = np.argsort(-depth[faces].mean(axis=1), kind="stable")
     drawn = faces[order]

@@ -1,1 +1,1 @@
-"""What an avatar is made to do: orbits, and the performance of somebody else."""
+"""Camera orbits and driving sequences: what an avatar is rendered with besides its own capture."""

@@ -1,4 +1,4 @@
-"""Views around the head: cameras turned about its centre, over x and over y, with the expression held."""
+"""Camera orbits: cameras rotated about the center of the head."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ggavatar.head.model import HeadModel
 
 
 def head_center(head: HeadModel, drive: Drive) -> Float[Tensor, " 3"]:
-    """Middle of the posed head in the world, m: of the box around face, scalp and ears, or around all vertices.
+    """Center of the posed head in the world, m: that of the box around face, scalp and ears, or around all vertices.
 
-    Heads may come with neck and shoulders, whose vertices must not pull the centre down.
+    Vertices of neck and shoulders, which some heads have, must not pull the center down.
     """
     vertices = head.vertices(drive)
     skull = [head.regions[name] for name in ("face", "scalp", "ears") if name in head.regions]
@@ -25,15 +25,16 @@ def head_center(head: HeadModel, drive: Drive) -> Float[Tensor, " 3"]:
     return (chosen.amin(dim=0) + chosen.amax(dim=0)) / 2
 
 
-def turned(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float) -> Camera:
-    """The camera moved on a sphere about `center`, which stays where it is in the image.
+def orbit_camera(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float) -> Camera:
+    """The camera moved on a sphere about `center`, whose place in the image is kept.
 
     Args:
-        camera: Where to start.
-        center: World point, m.
-        yaw: Turn about the image's vertical axis, rad; positive moves the camera to its own right, so the cheek on the
-            right of the image comes forward.
-        pitch: Turn about the image's horizontal axis, rad; positive moves the camera up, so the crown comes forward.
+        camera: Starting camera.
+        center: Point in the world, m.
+        yaw: Rotation about the image's vertical axis, rad; positive moves the camera to its own right, so the cheek on
+            the right of the image comes forward.
+        pitch: Rotation about the image's horizontal axis, rad; positive moves the camera up, so the crown comes
+            forward.
     """
     like = camera.world_to_camera
     about_y = axis_angle_to_matrix(like.new_tensor([0.0, yaw, 0.0]))
@@ -43,13 +44,13 @@ def turned(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float
     return Camera(camera.intrinsics, rigid(rotation, pivot - rotation @ pivot) @ like, camera.width, camera.height)
 
 
-def sweep(count: int, yaw: float, pitch: float) -> Iterator[tuple[float, float]]:
-    """Yaw and pitch of an orbit that ends where it began: right and left, then up and down.
+def orbit_angles(count: int, yaw: float, pitch: float) -> Iterator[tuple[float, float]]:
+    """Yaw and pitch of a closed orbit: right and left, then up and down.
 
     Args:
         count: Number of views.
-        yaw: Largest turn to either side, in any unit.
-        pitch: Largest turn up and down, in the same unit.
+        yaw: Largest yaw to either side, in any unit.
+        pitch: Largest pitch up and down, in the same unit.
     """
     for index in range(count):
         phase = index / count

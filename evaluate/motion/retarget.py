@@ -1,4 +1,4 @@
-"""Make a foreign performance fit an avatar's head, and turn it into drives and cameras."""
+"""Retarget a driving sequence to an avatar's head, and convert it to drives and cameras."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from evaluate.motion.motion import Motion
+from evaluate.motion.driving_sequence import DrivingSequence
 from ggavatar.core import Camera, Drive
 from ggavatar.data.frames import head_pose
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 
 
-def fitted_to(driver: Motion, target: Motion, force: bool = False) -> Motion:
-    """The driver's motion with the target's number of coefficients and order of joints; joints it lacks stay at rest.
+def retarget(driver: DrivingSequence, target: DrivingSequence, force: bool = False) -> DrivingSequence:
+    """The driver with the target's number of coefficients and order of joints; joints it lacks stay at rest.
 
     Args:
-        driver: The performance.
-        target: Motion of the capture that the avatar was trained on.
-        force: Accept another version or number of coefficients within one family of bases: missing ones are zero, those
-            too many are dropped.
+        driver: Sequence to adapt.
+        target: Sequence of the capture that the avatar was trained on.
+        force: Accept another version or number of coefficients within one family of bases: missing coefficients become
+            zero, surplus ones are dropped.
 
     Raises:
-        InputError: The expression bases differ, and are not of one family or `force` is not set.
+        InputError: The expression bases differ, and they are of different families or `force` is not set.
     """
     count = target.expression.shape[1]
     same = driver.head_version == target.head_version and driver.expression.shape[1] == count
     if not same and basis_family(driver.head_version) != basis_family(target.head_version):
         raise InputError(
-            f"expected a performance of the head {target.head_version!r}, found {driver.head_version!r}, whose numbers "
-            "mean different things; prepare both videos in the same way (both without --tracking, or both with one "
-            "tracker and one --head-model) and train on one of them"
+            f"expected a driving sequence for the head {target.head_version!r}, found {driver.head_version!r}, whose "
+            "coefficients mean different things; prepare both videos in the same way (both without --tracking, or both "
+            "with one tracker and one --head-model) and train on one of them"
         )
     if not same and not force:
         raise InputError(
             f"expected {count} coefficients of {target.head_version!r}, found {driver.expression.shape[1]} of "
-            f"{driver.head_version!r}; track both with one head model, or pass --force-basis to fill up with zeros and "
-            "drop what is too many"
+            f"{driver.head_version!r}; track both with one head model, or pass --force-basis to fill with zeros and "
+            "drop surplus coefficients"
         )
     expression = np.zeros((len(driver.frames), count))
     shared = min(count, driver.expression.shape[1])
@@ -60,26 +60,26 @@ def fitted_to(driver: Motion, target: Motion, force: bool = False) -> Motion:
 
 
 def basis_family(version: str) -> str:
-    """The part of a version tag that names its basis: without year, number or size at the end (flame2020 → flame)."""
+    """The family of a version tag: without a year, number or size at the end (flame2020 → flame)."""
     return re.sub(r"[-_.]?v?\d+([-_.]\d+)*$", "", version.lower())
 
 
-def drives_of(motion: Motion, head: HeadModel) -> Iterator[tuple[int, Drive, Camera]]:
-    """Frame number, drive and camera of every row, on the device of the head; the drives name no training frame.
+def drives_and_cameras(sequence: DrivingSequence, head: HeadModel) -> Iterator[tuple[int, Drive, Camera]]:
+    """Frame number, drive and camera of every row, on the device of the head; drives refer to no training frame.
 
     Raises:
-        InputError: The motion has no cameras.
+        InputError: The sequence has no cameras.
     """
-    cameras = motion.cameras
+    cameras = sequence.cameras
     if cameras is None:
-        raise InputError("expected a motion with cameras to draw, found one without; use --transfer relative")
-    for row, frame in enumerate(motion.frames):
-        joints, translation = _tensor(motion.joint_rotations[row], head), _tensor(motion.translation[row], head)
+        raise InputError("expected a driving sequence with cameras, found none; use --transfer relative")
+    for row, frame in enumerate(sequence.frames):
+        joints, translation = _tensor(sequence.joint_rotations[row], head), _tensor(sequence.translation[row], head)
         view = _tensor(cameras.world_to_camera[row], head)
         drive = Drive(
-            expression=_tensor(motion.expression[row], head),
+            expression=_tensor(sequence.expression[row], head),
             joint_rotations=joints,
-            eyelids=_tensor(motion.eyelids[row], head),
+            eyelids=_tensor(sequence.eyelids[row], head),
             translation=translation,
             head_to_camera=view @ head_pose(head, joints, translation),
         )

@@ -1,4 +1,4 @@
-"""Steadier performances: the One-Euro filter for live input, Savitzky–Golay for recorded input."""
+"""Temporal smoothing: the One-Euro filter (causal, for live input) and Savitzky–Golay (for recorded input)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ METHODS = ("none", "one-euro", "savgol")
 def one_euro(
     values: Float[np.ndarray, "T D"], fps: float, min_cutoff: float = 1.5, beta: float = 0.5, speed_cutoff: float = 1.0
 ) -> Float[np.ndarray, "T D"]:
-    """Low-pass filter whose cutoff rises with speed: steady at rest, little lag in motion. Causal.
+    """Causal low-pass filter whose cutoff rises with speed: steady at rest, little lag in motion.
 
     Args:
-        values: One row a frame.
+        values: One row per frame.
         fps: Frames per second.
         min_cutoff: Cutoff at rest, Hz; lower is steadier.
-        beta: Rise of the cutoff with speed, Hz per unit a second, speed measured in standard deviations of each column.
-        speed_cutoff: Cutoff for the speed itself, Hz.
+        beta: Increase of the cutoff with speed, Hz per unit per second; the unit is each column's standard deviation.
+        speed_cutoff: Cutoff of the speed estimate, Hz.
 
     References:
         Casiez, Roussel and Vogel 2012, "1€ filter", Algorithm 1.
@@ -30,22 +30,22 @@ def one_euro(
     speed = np.zeros(values.shape[1])
     for row in range(1, len(values)):
         change = (values[row] - filtered[row - 1]) * fps / unit
-        speed += _share(speed_cutoff, fps) * (change - speed)
-        share = _share(min_cutoff + beta * np.abs(speed), fps)
-        filtered[row] = filtered[row - 1] + share * (values[row] - filtered[row - 1])
+        speed += _smoothing_factor(speed_cutoff, fps) * (change - speed)
+        factor = _smoothing_factor(min_cutoff + beta * np.abs(speed), fps)
+        filtered[row] = filtered[row - 1] + factor * (values[row] - filtered[row - 1])
     return filtered
 
 
-def _share(cutoff: float | np.ndarray, fps: float) -> float | np.ndarray:
-    """Weight of the newest value in an exponential filter of a cutoff, Hz."""
+def _smoothing_factor(cutoff: float | np.ndarray, fps: float) -> float | np.ndarray:
+    """Weight of the newest value in an exponential filter with a cutoff in Hz."""
     radians = 2 * np.pi * cutoff / fps
     return radians / (1 + radians)
 
 
 def savgol(values: Float[np.ndarray, "T D"], window: int = 7, order: int = 2) -> Float[np.ndarray, "T D"]:
-    """Least-squares polynomial in a sliding window (Savitzky and Golay 1964): no lag, exact on polynomials of `order`.
+    """Least-squares polynomial in a sliding window (Savitzky and Golay 1964): no lag, exact for polynomials of `order`.
 
-    Short clips get the largest odd window that fits; clips too short for that are returned as they are.
+    Short clips use the largest odd window that fits; clips too short for that are returned unchanged.
     """
     window = min(window, len(values) - 1 + len(values) % 2)
     if window <= order:
@@ -54,11 +54,11 @@ def savgol(values: Float[np.ndarray, "T D"], window: int = 7, order: int = 2) ->
 
 
 def smoothed(values: Float[np.ndarray, "T D"], method: str, fps: float) -> Float[np.ndarray, "T D"]:
-    """Values filtered by one of `METHODS`; `ValueError` for another name."""
+    """Values filtered by one of `METHODS`; `ValueError` for any other name."""
     if method == "none":
         return values
     if method == "one-euro":
         return one_euro(values, fps)
     if method == "savgol":
         return savgol(values)
-    raise ValueError(f"expected a smoothing among {METHODS}, got {method!r}")
+    raise ValueError(f"expected a smoothing method of {METHODS}, got {method!r}")

@@ -1,1 +1,1 @@
-"""Evaluation protocols, their results, and statistics over them."""
+"""Evaluation protocols, evaluation results, and statistics over them."""

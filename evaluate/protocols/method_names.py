@@ -1,10 +1,10 @@
-"""Names of methods as tables and figures show them."""
+"""Display names of methods in tables and figures."""
 
 from __future__ import annotations
 
 from types import MappingProxyType
 
-TITLES = MappingProxyType(
+DISPLAY_NAMES = MappingProxyType(
     {
         "ggavatar": "GGAvatar",
         "gaussian_avatars": "GaussianAvatars",
@@ -18,9 +18,9 @@ TITLES = MappingProxyType(
         "ggavatar_without_initialization": "w/o initialization",
     }
 )
-"""Printed names of methods by their names on the command line, as in the paper; others are printed as they are."""
+"""Names as in the paper, by method name on the command line (with underscores)."""
 
 
-def printed(method: str) -> str:
-    """The name of a method as the tables print it."""
-    return TITLES.get(method.replace("-", "_"), method)
+def display_name(method: str) -> str:
+    """A method's name in tables and figures; methods that are not listed keep their own."""
+    return DISPLAY_NAMES.get(method.replace("-", "_"), method)

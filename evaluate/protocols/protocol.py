@@ -1,9 +1,8 @@
-"""What exactly is measured: frozen, versioned and digested protocols. Two numbers compare only under one digest."""
+"""Evaluation protocols: frozen, versioned and digested. Numbers are comparable only under the same digest."""
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
 import json
 import re
@@ -11,35 +10,35 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from evaluate.metrics.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS
-from ggavatar.errors import InputError
+from evaluate.metrics.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS, TEMPORAL
+from ggavatar.errors import InputError, nearest
 
 GIVEN = "given"
-"""Value of a field that the caller's pictures settle and that we cannot check."""
+"""Value of a field that depends on the caller's images and cannot be checked."""
 
 DEFINITION_VERSION = 1
-"""Version of the scoring arithmetic as a whole; raised when a fix changes numbers under unchanged fields."""
+"""Version of the scoring arithmetic as a whole; raised when a fix changes numbers while all fields stay the same."""
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """Everything that decides a number, apart from the pictures.
+    """Everything that determines a score apart from the images.
 
     Attributes:
         name: Base name; the id adds the version and every overridden field.
         version: Of the named protocol.
         split: Name of the capture's split whose test frames are scored, or `given`.
-        background: `white`, `black`, `R,G,B` in 0–255, or `given`; truth and render are composited on it.
-        mask: `as-stored` (the capture's soft or binary masks), `binary` (thresholded at one half) or `given`.
-        region: `full`, or the region outside which both images are painted with the background before anything is
-            measured; PSNR and L1 then count the region's pixels only (IMavatar's convention).
+        background: `white`, `black`, `R,G,B` in 0–255, or `given`; ground truth and prediction are composited on it.
+        mask: `as-stored` (the capture's soft or binary masks), `binary` (thresholded at 0.5) or `given`.
+        region: `full`, or the region outside which both images are filled with the background before anything is
+            measured; PSNR and L1 then count only the region's pixels (IMavatar's convention).
         resolution: `WIDTHxHEIGHT` in px at which images are compared, `native` (the capture's) or `given`.
         resize: Filter that brings the ground truth to `resolution`: `area` (OpenCV INTER_AREA).
         quantisation: `uint8-round`: both images are 8-bit, clamped and rounded to the nearest level.
-        psnr_aggregation: `mean-of-images`; the pooled PSNR is always stored beside it.
-        metrics: What is measured, names of `evaluate.metrics.catalogue.METRICS`.
-        table_metrics: Subset that the main table shows.
-        regions: Named regions measured in addition, as `psnr@face`.
+        psnr_aggregation: `mean-of-images`; the pooled PSNR is always stored as well.
+        metrics: Names of the metrics, from `evaluate.metrics.catalogue.METRICS`.
+        table_metrics: Subset shown in the main table.
+        regions: Regions measured in addition, as `psnr@face`.
         test_time_optimisation: `none`: nothing is fitted to test frames.
         overrides: Names of the fields that differ from the named protocol, sorted.
     """
@@ -63,16 +62,14 @@ class Protocol:
     def __post_init__(self) -> None:
         for name in (*self.metrics, *self.table_metrics):
             if name not in METRICS:
-                raise InputError(f"unknown metric {name!r}{_nearest(name, METRICS)}; known are {', '.join(METRICS)}")
+                raise InputError(f"unknown metric {name!r}{nearest(name, METRICS)}; known are {', '.join(METRICS)}")
         if missing := set(self.table_metrics) - set(self.metrics):
-            raise InputError(
-                f"the table asks for {', '.join(sorted(missing))}, which is not measured; add it to the metrics"
-            )
+            raise InputError(f"--table-metrics: {', '.join(sorted(missing))} is not measured; add it to --metrics")
         _ = self.background_rgb, self.size
 
     @property
     def id(self) -> str:
-        """Name, version and overridden fields; usable as a folder name."""
+        """Name, version and overridden fields; valid as a folder name."""
         changes = ",".join(f"{field}={_text(getattr(self, field))}" for field in self.overrides)
         return f"{self.name}-v{self.version}" + (f"+{changes}" if changes else "")
 
@@ -82,7 +79,7 @@ class Protocol:
         return hashlib.sha256(self.canonical_json().encode()).hexdigest()
 
     def canonical_json(self) -> str:
-        """All fields and the full definitions of the metrics as JSON: keys sorted, no spaces, ASCII."""
+        """All fields and the full metric definitions as JSON: sorted keys, no spaces, ASCII."""
         return json.dumps(
             {**self.as_dict(), **self.definitions()}, sort_keys=True, separators=(",", ":"), ensure_ascii=True
         )
@@ -92,7 +89,7 @@ class Protocol:
         return {field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)}
 
     def definitions(self) -> dict[str, Any]:
-        """What the names stand for: the arithmetic that the digest covers."""
+        """Definitions of the metrics and regions, which the digest covers."""
         words = {name: METRICS[name].definition for name in self.metrics}
         return {
             "definition_version": DEFINITION_VERSION,
@@ -102,13 +99,13 @@ class Protocol:
 
     @property
     def background_rgb(self) -> tuple[float, float, float] | None:
-        """Background colour, sRGB in [0, 1]; None if the pictures settle it."""
-        named = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), GIVEN: None}
-        if self.background in named:
-            return named[self.background]
+        """Background color, sRGB in [0, 1]; None if it is `given`."""
+        known = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), GIVEN: None}
+        if self.background in known:
+            return known[self.background]
         parts = self.background.split(",")
         if len(parts) != 3 or not all(part.strip().isdigit() and int(part) <= 255 for part in parts):
-            raise InputError(f"expected --background white, black or R,G,B in 0-255, got {self.background!r}")
+            raise InputError(f"expected --background white, black or R,G,B in 0-255, found {self.background!r}")
         red, green, blue = (int(part) / 255 for part in parts)
         return red, green, blue
 
@@ -119,17 +116,17 @@ class Protocol:
             return None
         width, _, height = self.resolution.partition("x")
         if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-            raise InputError(f"expected --resolution WIDTHxHEIGHT or native, got {self.resolution!r}")
+            raise InputError(f"expected --resolution WIDTHxHEIGHT or native, found {self.resolution!r}")
         return int(width), int(height)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of all per-image numbers, regions included."""
+        """Names of all per-image values, including those of regions."""
         masked = tuple(f"{name}@{region}" for region in self.regions for name in self.metrics if name in REGION_METRICS)
         return self.metrics + masked
 
     def override(self, **changes: Any) -> Protocol:
-        """The protocol with fields changed; fields that really differ from the named protocol enter the id.
+        """The protocol with fields changed; those that differ from the named protocol become part of the id.
 
         Raises:
             InputError: Unknown field, or a value the field does not allow.
@@ -137,28 +134,23 @@ class Protocol:
         allowed = {field.name for field in dataclasses.fields(self)} - {"name", "version", "overrides"}
         for field in changes:
             if field not in allowed:
-                suggestion, known = _nearest(field, allowed), ", ".join(sorted(allowed))
-                raise InputError(f"unknown protocol field {field!r}{suggestion}; fields are {known}")
+                suggestion, known = nearest(field, allowed), ", ".join(sorted(allowed))
+                raise InputError(f"unknown protocol field {field!r}{suggestion}; known are {known}")
         base = PROTOCOLS.get(self.name, self)
         changed = dataclasses.replace(self, **changes)
         differing = tuple(sorted(field for field in allowed if getattr(changed, field) != getattr(base, field)))
         return dataclasses.replace(changed, overrides=differing)
 
-    def given(self) -> Protocol:
-        """The protocol's arithmetic for pictures of unknown making: what cannot be checked is stated as `given`."""
-        return self.override(split=GIVEN, background=GIVEN, mask=GIVEN, resolution=GIVEN)
-
 
 _PIXELS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ms_ssim")
-_TEMPORAL = ("frame_difference", "flicker")
-_ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *_TEMPORAL, *FACES)
-_HELD_OUT_END = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *_TEMPORAL)
+_ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *TEMPORAL, *FACES)
+_HELD_OUT_END = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *TEMPORAL)
 _PARTS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
 _LINEAGE = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")
 
 
 def _on_white(name: str, split: str, **fields: Any) -> Protocol:
-    """A protocol on 512² px and a white background, unless `fields` say otherwise."""
+    """A protocol at 512×512 px on a white background, unless `fields` say otherwise."""
     common = {"background": "white", "mask": "as-stored", "resolution": "512x512"}
     return Protocol(name, split=split, **{**common, **fields})
 
@@ -188,23 +180,23 @@ _NAMED = (
 PROTOCOLS: Mapping[str, Protocol] = {protocol.name: protocol for protocol in _NAMED}
 
 
-def named(name: str) -> Protocol:
+def protocol_by_name(name: str) -> Protocol:
     """A protocol by name, with or without its version: `paper`, `paper-v1`.
 
     Raises:
-        InputError: There is none of that name; the message suggests the nearest.
+        InputError: There is no such protocol; the message suggests the nearest name.
     """
     for key, protocol in PROTOCOLS.items():
         if name in (key, protocol.id):
             return protocol
-    raise InputError(f"unknown protocol {name!r}{_nearest(name, PROTOCOLS)}; known are {', '.join(PROTOCOLS)}")
+    raise InputError(f"unknown protocol {name!r}{nearest(name, PROTOCOLS)}; known are {', '.join(PROTOCOLS)}")
 
 
-def from_dict(fields: Mapping[str, Any]) -> Protocol:
-    """The protocol that a result file describes; the id, digest and definitions beside the fields are ignored.
+def protocol_from_dict(fields: Mapping[str, Any]) -> Protocol:
+    """The protocol that a result file describes; id, digest and definitions are ignored.
 
     Raises:
-        InputError: Fields are missing or hold values that no protocol has.
+        InputError: A field is missing or has an invalid value.
     """
     known = {field.name for field in dataclasses.fields(Protocol)}
     values: dict[str, Any] = {key: _frozen(value) for key, value in fields.items() if key in known}
@@ -223,12 +215,7 @@ def _frozen(value: object) -> object:
 
 
 def _text(value: object) -> str:
-    """A value in an id: readable while it is short, without any character that a file name must not have."""
+    """A value in an id: readable if short, and without characters that are invalid in file names."""
     words = "-".join(value) if isinstance(value, tuple) else str(value)
     safe = re.sub(r"[^A-Za-z0-9._-]", "-", words)
     return safe if len(safe) <= 40 else f"{safe[:20]}-{hashlib.sha256(words.encode()).hexdigest()[:8]}"
-
-
-def _nearest(name: str, known: Mapping[str, Any] | set[str]) -> str:
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
-    return f" (perhaps {close[0]!r}?)" if close else ""

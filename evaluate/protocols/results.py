@@ -1,4 +1,4 @@
-"""The result of one evaluation: a value in memory, `metrics.json` and `per_frame.csv` on disk (docs/evaluation.md)."""
+"""The result of one evaluation, in memory and as `metrics.json` and `per_frame.csv` (docs/evaluation.md)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from typing import Any
 
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import pooled_psnr
-from evaluate.protocols.protocol import Protocol, from_dict
-from evaluate.protocols.statistics import Summary, summarise
+from evaluate.protocols.protocol import Protocol, protocol_from_dict
+from evaluate.protocols.statistics import Summary, summarize
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_atomically
+from ggavatar.io.atomic import write_text
+from ggavatar.io.json_files import read_json
 
 SCHEMA, VERSION = "ggavatar-evaluation", 1
 METRICS_FILE, FRAMES_FILE = "metrics.json", "per_frame.csv"
 MAX_BYTES = 1 << 28
+"""Limit of metrics.json, which holds every metric of every frame (256 MiB)."""
 
 Value = float | None
 
@@ -34,14 +36,14 @@ class Evaluation:
         method: Column of the table.
         protocol: What was measured.
         frames: Scored source frames, ascending.
-        values: Per column one value a frame; infinite for identical images, None where there was nothing to measure.
+        values: One value per frame by column; infinite for identical images, None where nothing could be measured.
         seed: Of the training run, if known.
-        missing: Metrics without any value, with the reason.
+        missing: Reasons by metric that has no value.
         hashes: SHA-256 of predictions, ground truth and each kind of mask.
         weights: SHA-256 of the files of learned metrics.
         efficiency: What rendering and training cost.
-        provenance: Where the pictures come from: run, checkpoint, step, versions.
-        notes: What a reader must know, in sentences.
+        provenance: Where the images come from: run, checkpoint, step, versions.
+        notes: Remarks for the reader, as sentences.
     """
 
     subject: str
@@ -58,20 +60,20 @@ class Evaluation:
     notes: tuple[str, ...] = ()
 
     def summary(self, name: str) -> Summary:
-        """Summary of one metric over the frames; `psnr_pooled` has a mean only."""
+        """Summary of one metric over the frames; `psnr_pooled` has only a mean."""
         if name == "psnr_pooled":
             pooled = pooled_psnr(value for value in self.values.get("mse", ()) if value is not None)
             finite = pooled if pooled is not None and math.isfinite(pooled) else None
             return Summary(finite, None, None, None, len(self.frames), 0 if finite is not None else len(self.frames))
-        return summarise(self.values.get(name, ()), metric_of(name).higher_is_better)
+        return summarize(self.values.get(name, ()), metric_of(name).higher_is_better)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Metrics of the protocol in its order, the pooled PSNR after the last."""
+        """Metrics in the order of the protocol, followed by the pooled PSNR."""
         return (*self.protocol.columns, "psnr_pooled")
 
     def as_dict(self) -> dict[str, Any]:
-        """Strict JSON values: no NaN, no infinity; identical frames are null and listed by number."""
+        """Strict JSON values without NaN or infinity; values of identical frames are null, their numbers listed."""
         return {
             "schema": SCHEMA,
             "version": VERSION,
@@ -111,26 +113,21 @@ def _finite(value: Value) -> Value:
 
 
 def write_results(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write `metrics.json` and `per_frame.csv` atomically, unrounded, and return their paths."""
+    """Write `metrics.json` and `per_frame.csv`, unrounded and atomically, and return their paths."""
     paths = [folder / METRICS_FILE, folder / FRAMES_FILE]
     for path, text in zip(paths, (to_json(evaluation.as_dict()), _to_csv(evaluation)), strict=True):
         write_text(path, text)
     return paths
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically in UTF-8."""
-    write_atomically(path, lambda stream: stream.write(text.encode()))
-
-
 def to_json(content: Mapping[str, Any]) -> str:
-    """Strict JSON, readable, with lists of numbers on one line each."""
+    """Strict, readable JSON with each list of numbers on one line."""
     lines = [f"  {json.dumps(key)}: {_block(value)}" for key, value in content.items()]
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _block(value: Any) -> str:
-    """One top-level entry: a mapping has one line per key."""
+    """One top-level value: a mapping has one line per key."""
     if not isinstance(value, Mapping) or not value:
         return json.dumps(value, allow_nan=False, ensure_ascii=False)
     inner = (f"    {json.dumps(k)}: {json.dumps(v, allow_nan=False, ensure_ascii=False)}" for k, v in value.items())
@@ -138,7 +135,7 @@ def _block(value: Any) -> str:
 
 
 def _to_csv(evaluation: Evaluation) -> str:
-    """One line a frame; identical frames read `inf`, absent values are empty."""
+    """One line per frame; `inf` for identical images, empty for absent values."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["frame", *evaluation.values])
@@ -149,38 +146,25 @@ def _to_csv(evaluation: Evaluation) -> str:
 
 
 def read_results(path: Path) -> Evaluation:
-    """An evaluation from `metrics.json`, or from the folder that holds it.
+    """Read an evaluation from `metrics.json` or the folder that contains it.
 
     Raises:
-        InputError: No such file, not a result file, or of a version this program does not know.
+        InputError: No such file, not a result file, or an unknown version.
     """
     file = path / METRICS_FILE if path.is_dir() else path
-    content = _load(file)
+    try:
+        content = read_json(file, MAX_BYTES)
+    except InputError as error:
+        raise InputError(f"{error}; score the images with ggavatar-eval first") from error
     if content.get("schema") != SCHEMA or content.get("version") != VERSION:
         found = f"{content.get('schema')!r} version {content.get('version')!r}"
-        raise InputError(f"{file}: expected {SCHEMA!r} version {VERSION}, found {found}; score the pictures again")
+        raise InputError(f"{file}: expected {SCHEMA!r} version {VERSION}, found {found}; score the images again")
     try:
         return _from_dict(content)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{file}: a field is missing or has the wrong type ({error!r}); score again") from error
-
-
-def _load(file: Path) -> dict[str, Any]:
-    try:
-        if file.stat().st_size > MAX_BYTES:
-            raise InputError(f"{file}: a result file is not larger than {MAX_BYTES >> 20} MiB")
-        content = json.loads(file.read_text(encoding="utf-8"), parse_constant=_refuse)
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: no such file; run ggavatar-eval on the run first") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: expected strict JSON, found something else ({error}); score again") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: expected a JSON object, found {type(content).__name__}; score again")
-    return content
-
-
-def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is not JSON")
+        raise InputError(
+            f"{file}: a field is missing or has the wrong type ({error!r}); score the images again"
+        ) from error
 
 
 def _from_dict(content: Mapping[str, Any]) -> Evaluation:
@@ -194,7 +178,7 @@ def _from_dict(content: Mapping[str, Any]) -> Evaluation:
     return Evaluation(
         subject=str(content["subject"]),
         method=str(content["method"]),
-        protocol=from_dict(content["protocol"]),
+        protocol=protocol_from_dict(content["protocol"]),
         frames=frames,
         values=values,
         seed=content["seed"],

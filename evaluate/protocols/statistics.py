@@ -1,4 +1,4 @@
-"""Numbers about numbers: summaries over frames, deviation over seeds, and paired differences with their uncertainty."""
+"""Statistics: summaries over frames, deviation over seeds, and paired differences with confidence intervals."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 Value = float | None
 
-WORST_SHARE = 0.05
+WORST_FRACTION = 0.05
 RESAMPLES = 10_000
 BLOCK_SPAN = 25
-"""Source frames, about one second, over which errors are taken to hang together."""
+"""Source frames over which errors are considered correlated, about one second."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +24,12 @@ class Summary:
     """One metric over the frames of one evaluation.
 
     Attributes:
-        mean: Over the frames that have a finite value.
-        median: Likewise.
-        worst_5_percent: Mean over the worst twentieth of the frames, at least one.
+        mean: Mean over the frames with a finite value.
+        median: Median over the same frames.
+        worst_5_percent: Mean over the worst 5 % of the frames, at least one.
         std_over_frames: Sample deviation between frames; neither the deviation between seeds nor an error of the mean.
         count: Frames with a finite value.
-        identical: Frames whose PSNR is infinite, left out of all the above.
+        identical: Frames with an infinite value (identical images), excluded from all of the above.
     """
 
     mean: Value
@@ -40,15 +40,15 @@ class Summary:
     identical: int
 
 
-def summarise(values: Sequence[Value], higher_is_better: bool) -> Summary:
-    """Summary of one metric; None (nothing to measure) is left out, infinite values (identical images) are counted."""
+def summarize(values: Sequence[Value], higher_is_better: bool) -> Summary:
+    """Summary of one metric; None (not measured) is skipped, infinite values (identical images) are only counted."""
     known = [value for value in values if value is not None]
     finite = sorted(value for value in known if math.isfinite(value))
     identical = len(known) - len(finite)
     if not finite:
         return Summary(None, None, None, None, 0, identical)
     worst = finite if higher_is_better else finite[::-1]
-    tail = worst[: max(1, math.ceil(len(finite) * WORST_SHARE))]
+    tail = worst[: max(1, math.ceil(len(finite) * WORST_FRACTION))]
     deviation = statistics.stdev(finite) if len(finite) > 1 else None
     mean = math.fsum(finite) / len(finite)
     return Summary(mean, statistics.median(finite), math.fsum(tail) / len(tail), deviation, len(finite), identical)
@@ -59,11 +59,11 @@ class Difference:
     """Mean of paired differences with a bootstrap interval.
 
     Attributes:
-        mean: Of first − second over the frames both have.
+        mean: Mean of first − second over the frames that both have.
         low: Lower end of the 95 % interval.
-        high: Upper end.
+        high: Upper end of the 95 % interval.
         frames: Number of pairs.
-        block: Consecutive scored frames resampled together.
+        block: Number of consecutive scored frames resampled together.
         resamples: Number of bootstrap samples.
     """
 
@@ -81,7 +81,7 @@ class Difference:
 
 
 def block_length(frames: Sequence[int]) -> int:
-    """How many scored frames one block spans: those within `BLOCK_SPAN` source frames, at most a quarter of all."""
+    """Scored frames per block: those within `BLOCK_SPAN` source frames, at most a quarter of all."""
     if len(frames) < 2:
         return 1
     spacing = statistics.median(b - a for a, b in pairwise(frames))
@@ -91,15 +91,15 @@ def block_length(frames: Sequence[int]) -> int:
 def paired_bootstrap(groups: Sequence[tuple[Sequence[int], Sequence[float]]], seed: int = 0) -> Difference | None:
     """Circular block bootstrap of paired differences, stratified by subject.
 
-    Neighbouring frames err alike, so whole blocks of them are drawn; drawing single frames would make the interval of a
-    video far too narrow (Politis & Romano 1992). Every subject weighs the same, as in the mean row of the table.
+    Errors of neighboring frames are correlated, so whole blocks are resampled; resampling single frames would make the
+    interval of a video far too narrow (Politis & Romano 1992). Subjects have equal weight, as in the table's mean row.
 
     Args:
-        groups: For each subject the frame numbers, ascending, and the differences of the two methods at them.
-        seed: Of the random draws.
+        groups: For each subject the ascending frame numbers and the differences of the two methods at them.
+        seed: Seed of the resampling.
 
     Returns:
-        The mean of the subjects' mean differences and its 95 % percentile interval; None without any frame.
+        The mean over subjects of their mean differences, with its 95 % percentile interval; None without any frame.
     """
     filled = [(frames, np.asarray(values, np.float64)) for frames, values in groups if len(values)]
     if not filled:
@@ -114,10 +114,10 @@ def paired_bootstrap(groups: Sequence[tuple[Sequence[int], Sequence[float]]], se
 
 
 def _resampled_means(values: Float[np.ndarray, " T"], block: int, generator: np.random.Generator) -> np.ndarray:
-    """Means of `RESAMPLES` series put together from blocks that start anywhere and wrap around."""
+    """Means of `RESAMPLES` series assembled from blocks that start anywhere and wrap around."""
     count = len(values)
     draws = math.ceil(count / block)
-    # Sums of all blocks first: a sample's sum is then a sum of few numbers instead of one over all frames.
+    # Precomputed block sums: each sample then adds a few numbers instead of all frames.
     wrapped = np.concatenate((values, values[: block - 1]))
     sums = np.convolve(wrapped, np.ones(block), mode="valid")
     starts = generator.integers(0, count, (RESAMPLES, draws))
@@ -125,5 +125,5 @@ def _resampled_means(values: Float[np.ndarray, " T"], block: int, generator: np.
 
 
 def deviation_over_seeds(means: Sequence[float]) -> float | None:
-    """Sample deviation of the means of runs that differ in their seed; None for a single run."""
+    """Sample deviation of the means of runs with different seeds; None for a single run."""
     return statistics.stdev(means) if len(means) > 1 else None

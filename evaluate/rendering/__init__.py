@@ -1,1 +1,1 @@
-"""Drawing trained avatars into folders and videos."""
+"""Rendering of trained avatars to folders and videos."""

@@ -1,4 +1,4 @@
-"""What ggavatar-render draws: the views of a split, an orbit or a performance, and the figure that goes with each."""
+"""The jobs of ggavatar-render: views of a split, an orbit or a driving sequence, and the figure for each."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ import torch
 from torch import Tensor
 
 from evaluate.figures.novel_views import novel_views
-from evaluate.figures.reenactment import reenactment, telling_rows
+from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.figures.video import playback_fps
-from evaluate.motion.motion import Motion, motion_of, read_motion
-from evaluate.motion.orbit import head_center, sweep, turned
-from evaluate.motion.retarget import drives_of, fitted_to
-from evaluate.motion.transfer import Transfer, neutral_row, transferred
-from evaluate.protocols.method_names import printed
+from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of, read_driving_sequence
+from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
+from evaluate.motion.retarget import drives_and_cameras, retarget
+from evaluate.motion.transfer import TransferOptions, neutral_row, transfer_performance
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN, Protocol
-from evaluate.rendering.standalone_file import LoneFile, open_alone
-from evaluate.rendering.views import CUTOUTS, FRAMES, VIDEO, Output, View, claim, read_note, render_views
+from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
+from evaluate.rendering.views import FRAMES, RGBA, VIDEO, Output, View, claim_folder, method_of_output, render_views
 from evaluate.scoring.frame_files import find_frame
-from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
-from evaluate.scoring.ground_truth import Color, Truth
+from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
+from evaluate.scoring.ground_truth import Color, GroundTruth
 from ggavatar.core import Camera, Drive
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -32,164 +32,166 @@ from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_rgb, write_png
+from ggavatar.render.backends import resolve_device
 from ggavatar.training.run_folder import Run, open_run
 
 if TYPE_CHECKING:
     from evaluate.rendering.options import Options
 
 COLUMNS = 6
-FPS = 25.0
-"""Of an orbit around a file without a capture."""
+"""Frames in the reenactment figure."""
+DEFAULT_FPS = 25.0
+"""Frame rate of an orbit around a file without a capture."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Shot:
-    """What to draw.
+class RenderPlan:
+    """What to render.
 
     Attributes:
-        name: Of the folder under RUN/renders.
-        views: In order.
-        fps: Of the video, pictures per second.
-        figure: Writes the figure once the views are drawn, given the output folder; returns its path, or None.
+        name: Name of the folder under RUN/renders.
+        views: Views in order.
+        fps: Frames per second of the video.
+        write_figure: Writes the figure once the views are rendered, and returns its path, or None without a figure.
     """
 
     name: str
     views: Sequence[View]
     fps: float
-    figure: Callable[[Output], Path | None]
+    write_figure: Callable[[Output], Path | None]
 
 
 def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]:
-    """Do what the options say and return the paths written: folder, video, figure."""
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
-    run = _open(options, device)
+    """Render what the options ask for and return the paths written: folders, video, figure.
+
+    Raises:
+        InputError: Options, run or output folder cannot be used, or the device is not available.
+    """
+    run = _open(options, resolve_device(options.device))
     background = _background(options, run)
-    shot = _orbit_alone(options, run, background) if isinstance(run, LoneFile) else _shot(options, run, background)
-    views = [_sized(view, options.width) for view in _part(shot.views, options.frames)]
-    folder = options.output_dir or run.folder / "renders" / shot.name
-    fps = (options.fps or shot.fps) if options.video else None
+    if isinstance(run, StandaloneGaussians):
+        plan = _orbit(options, run, run.front_view(), DEFAULT_FPS, background)
+    else:
+        plan = _plan(options, run, background)
+    views = [_with_width(view, options.width) for view in _selected(plan.views, options.frames)]
+    folder = options.output_dir or run.folder / "renders" / plan.name
+    fps = (options.fps or plan.fps) if options.video else None
     output = Output(folder, background, fps, options.alpha)
-    claim(output, _content(options, run), options.overwrite, options.resume)
+    claim_folder(output, _content(options, run), options.overwrite, options.resume)
     render_views(run.avatar, run.rasterize, views, output, progress)
-    wanted = {FRAMES: True, CUTOUTS: options.alpha, VIDEO: options.video}
-    figure = shot.figure(output)
+    wanted = {FRAMES: True, RGBA: options.alpha, VIDEO: options.video}
+    figure = plan.write_figure(output)
     return [folder / name for name, is_there in wanted.items() if is_there] + ([figure] if figure else [])
 
 
-def _open(options: Options, device: str) -> Run | LoneFile:
+def _open(options: Options, device: str) -> Run | StandaloneGaussians:
     """A run, or a file of Gaussians with or without a capture."""
     source = options.source
     if is_gaussian_file(options.run):
         if source.capture is None:
-            return open_alone(options.run, source, device, options.backend)
-        return open_file(options.run, source, GIVEN, device, options.backend)
+            return open_standalone(options.run, source, device, options.backend)
+        return open_gaussian_file(options.run, source, GIVEN, device, options.backend)
     refuse_file_flags(options.run, source)
     moved = [] if source.capture is None else [source.capture]
     return open_run(options.run, device, options.step, options.backend, *moved)
 
 
-def _shot(options: Options, run: Run, background: Color) -> Shot:
+def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
     if options.drive is not None:
         return _driven(options, run, background)
     if options.orbit:
-        return _orbit(options, run, background)
-    names = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
-    frames = names[options.split]
+        return _orbit(options, run, _neutral_view(options, run), run.capture.fps, background)
+    frames_of = {"test": run.split.test, "train": run.split.train, "all": run.capture.frames}
+    frames = frames_of[options.split]
     views = [View(frame, run.reader.drive(frame), run.reader.camera(frame)) for frame in frames]
-    return Shot(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
+    return RenderPlan(options.split, views, playback_fps(frames, run.capture.fps), lambda output: None)
 
 
-def _orbit(options: Options, run: Run, background: Color) -> Shot:
-    frame = run.capture.frames[_neutral(motion_of(run.capture), options.target_neutral)]
+def _neutral_view(options: Options, run: Run) -> tuple[Drive, Camera, Tensor]:
+    """Drive and camera of the neutral frame, and the center of the head, m."""
+    frame = run.capture.frames[_neutral_row(driving_sequence_of(run.capture), options.target_neutral)]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
-    around = drive, camera, head_center(_head(run), drive)
-    return _around(options, run, around, run.capture.fps, background)
+    return drive, camera, head_center(_head(run), drive)
 
 
-def _orbit_alone(options: Options, file: LoneFile, background: Color) -> Shot:
-    return _around(options, file, file.front(), FPS, background)
-
-
-def _around(
-    options: Options, run: Run | LoneFile, view: tuple[Drive, Camera, Tensor], fps: float, background: Color
-) -> Shot:
-    """An orbit that holds the drive, from a camera and about a point."""
+def _orbit(
+    options: Options, run: Run | StandaloneGaussians, view: tuple[Drive, Camera, Tensor], fps: float, background: Color
+) -> RenderPlan:
+    """An orbit with a fixed drive, starting at a camera and about a point."""
     drive, camera, center = view
-    angles = sweep(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
-    views = [View(index, drive, turned(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
+    angles = orbit_angles(options.views, float(np.radians(options.yaw)), float(np.radians(options.pitch)))
+    views = [View(index, drive, orbit_camera(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
 
-    def figure(output: Output) -> Path:
+    def write_figure(output: Output) -> Path:
         path = output.folder / "novel_views.png"
         write_png(path, novel_views(run.avatar, run.rasterize, view, background))
         return path
 
-    return Shot("orbit", views, fps, figure)
+    return RenderPlan("orbit", views, fps, write_figure)
 
 
-def _driven(options: Options, run: Run, background: Color) -> Shot:
+def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     source = options.drive or Path()
-    target, driver = motion_of(run.capture), read_motion(source)
-    driver = fitted_to(driver, target, options.force_basis)
+    target, driver = driving_sequence_of(run.capture), read_driving_sequence(source)
+    driver = retarget(driver, target, options.force_basis)
     if options.transfer == "absolute" and options.pose == "absolute" and driver.cameras is None:
         raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
-    how = Transfer(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
+    how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
     seen = target.rows(np.array([target.row(frame) for frame in run.split.train]))
-    moved = transferred(driver, _neutral(driver, options.neutral), seen, _neutral(seen, options.target_neutral), how)
-    views = [View(*item) for item in drives_of(moved, _head(run))]
+    neutral_rows = _neutral_row(driver, options.neutral), _neutral_row(seen, options.target_neutral)
+    moved = transfer_performance(driver, neutral_rows[0], seen, neutral_rows[1], how)
+    views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
 
-    def figure(output: Output) -> Path:
-        drawn = [view.number for view in _part(views, options.frames)]
-        chosen = [drawn[row] for row in telling_rows(driver.rows(_rows_of(driver, drawn)), COLUMNS)]
+    def write_figure(output: Output) -> Path:
+        frames = [view.number for view in _selected(views, options.frames)]
+        rows = np.array([driver.row(frame) for frame in frames])
+        chosen = [frames[row] for row in representative_rows(driver.rows(rows), COLUMNS)]
         path = output.folder / "reenactment.png"
-        results = _labelled(printed(run.method), output.folder, options.beside)
-        rows = {
-            name: [read_rgb(find_frame(home / FRAMES, frame)) for frame in chosen] for name, home in results.items()
+        folders = _output_folders(display_name(run.method), output.folder, options.beside)
+        results = {
+            name: [read_rgb(find_frame(folder / FRAMES, frame)) for frame in chosen] for name, folder in folders.items()
         }
         captions = [f"frame {frame}" for frame in chosen]
-        write_png(path, reenactment(_driver_pictures(source, chosen, background), rows, captions))
+        write_png(path, reenactment(_driver_images(source, chosen, background), results, captions))
         return path
 
-    return Shot(f"drive-{source.stem}", views, driver.fps, figure)
+    return RenderPlan(f"drive-{source.stem}", views, driver.fps, write_figure)
 
 
-def _labelled(method: str, own: Path, folders: Sequence[Path]) -> dict[str, Path]:
-    """Our folder and those of earlier renders, by distinct names of methods."""
+def _output_folders(method: str, own: Path, folders: Sequence[Path]) -> dict[str, Path]:
+    """This output folder and earlier ones, by distinct method names."""
     found = {method: own}
     for folder in folders:
-        name = printed(read_note(folder))
+        name = display_name(method_of_output(folder))
         found[name if name not in found else f"{name} ({folder.name})"] = folder
     return found
 
 
-def _rows_of(motion: Motion, frames: Sequence[int]) -> np.ndarray:
-    return np.array([motion.row(frame) for frame in frames])
-
-
-def _driver_pictures(source: Path, frames: Sequence[int], background: Color) -> list[np.ndarray]:
-    """The driver's own pictures, where it is a capture."""
+def _driver_images(source: Path, frames: Sequence[int], background: Color) -> list[np.ndarray]:
+    """The driver's own images, if it is a capture."""
     if not source.is_dir():
         return []
     capture = Capture.open(source)
-    return [Truth(background).of(capture, frame)[0] for frame in frames]
+    return [GroundTruth(background).image_and_mask(capture, frame)[0] for frame in frames]
 
 
-def _neutral(motion: Motion, frame: int | None) -> int:
-    return neutral_row(motion) if frame is None else motion.row(frame)
+def _neutral_row(sequence: DrivingSequence, frame: int | None) -> int:
+    return neutral_row(sequence) if frame is None else sequence.row(frame)
 
 
 def _head(run: Run) -> HeadModel:
     return load_head(run.capture.head_path).to(run.background.device, torch.float32)
 
 
-def _background(options: Options, run: Run | LoneFile) -> Color:
+def _background(options: Options, run: Run | StandaloneGaussians) -> Color:
     red, green, blue = run.background.tolist()
     if options.background is None:
         return red, green, blue
     return Protocol("render", background=options.background).background_rgb or (red, green, blue)
 
 
-def _part(views: Sequence[View], part: str | None) -> Sequence[View]:
-    """The views that START:STOP:STEP selects; `InputError` if it is not of that form or selects none."""
+def _selected(views: Sequence[View], part: str | None) -> Sequence[View]:
+    """The views selected by START:STOP:STEP; `InputError` if it is malformed or selects none."""
     if part is None:
         return views
     try:
@@ -202,20 +204,19 @@ def _part(views: Sequence[View], part: str | None) -> Sequence[View]:
     return chosen
 
 
-def _sized(view: View, width: int | None) -> View:
+def _with_width(view: View, width: int | None) -> View:
     if width is None:
         return view
-    return view._replace(
-        camera=view.camera.resized(width, max(1, round(view.camera.height * width / view.camera.width)))
-    )
+    height = max(1, round(view.camera.height * width / view.camera.width))
+    return view._replace(camera=view.camera.resized(width, height))
 
 
-def _content(options: Options, run: Run | LoneFile) -> dict[str, Any]:
-    """What decides the pictures, as plain values: equal for equal pictures."""
+def _content(options: Options, run: Run | StandaloneGaussians) -> dict[str, Any]:
+    """Everything that determines the images, as plain values; compared by --resume."""
     skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
-    subject = run.subject if isinstance(run, LoneFile) else run.capture.subject
+    subject = run.subject if isinstance(run, StandaloneGaussians) else run.capture.subject
     content = {"subject": subject, "method": run.method, "step": run.step, "options": chosen}
     if "file_sha256" in run.provenance:
         opened = {name: None if value is None else str(value) for name, value in vars(options.source).items()}

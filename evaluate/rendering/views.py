@@ -1,13 +1,11 @@
-"""Draw a sequence of views into a folder: numbered PNG, straight-alpha PNG, video, and a note of what they are."""
+"""Renders a sequence of views to a folder: numbered PNG, straight-alpha PNG, a video and a record of the settings."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import json
-from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,37 +23,40 @@ from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.images import read_rgb, write_png
+from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.ordered_map import ordered_map
 
-NOTE, VIDEO, FRAMES, CUTOUTS = "render.json", "render.mp4", "frames", "rgba"
+RECORD, VIDEO, FRAMES, RGBA = "render.json", "render.mp4", "frames", "rgba"
 BATCH = 8
-"""Pictures in memory at most: one thread draws, another encodes what is drawn."""
+"""Largest number of images in memory: one thread renders while another encodes."""
 
 
 class View(NamedTuple):
-    """One picture to draw; `number` names its file."""
+    """One image to render; `number` names its file."""
 
     number: int
     drive: Drive
     camera: Camera
 
 
-class Drawn(NamedTuple):
-    """A picture that waits for the encoder."""
+class RenderedView(NamedTuple):
+    """A rendered image on its way to the encoder; `is_new` unless it was read from an earlier call's file."""
 
     number: int
-    picture: UInt8[np.ndarray, "H W 3"]
-    cutout: UInt8[np.ndarray, "H W 4"] | None = None
+    image: UInt8[np.ndarray, "H W 3"]
+    rgba: UInt8[np.ndarray, "H W 4"] | None = None
+    is_new: bool = True
 
 
 @dataclass(frozen=True)
 class Output:
-    """Where and how to write.
+    """Where and what to write.
 
     Attributes:
-        folder: Made if missing.
+        folder: Output folder; created if missing.
         background: sRGB in [0, 1], behind frames and video.
-        fps: Pictures per second of the video; None writes no video.
-        alpha: Write RGBA with straight alpha too.
+        fps: Frames per second of the video; None for no video.
+        alpha: Also write RGBA images with straight alpha.
     """
 
     folder: Path
@@ -64,57 +65,60 @@ class Output:
     alpha: bool = False
 
 
-def claim(output: Output, content: dict[str, Any], overwrite: bool, resume: bool) -> None:
-    """Make the output folder ours; refuse one that holds something, unless it may be overwritten or resumed.
+def claim_folder(output: Output, content: dict[str, Any], overwrite: bool, resume: bool) -> None:
+    """Prepare the output folder: new or empty, or one of an earlier call that may be overwritten or resumed.
 
-    Nothing but files that an earlier render wrote is ever removed.
+    Only files that an earlier call wrote are deleted.
 
     Raises:
-        InputError: The folder holds a render and neither flag is set, another render and `resume` is, or foreign files.
+        InputError: The folder contains earlier output and neither flag is set, output of other options and `resume` is
+            set, or other files.
     """
-    note = output.folder / NOTE
+    record = output.folder / RECORD
     wanted = {"schema": "ggavatar-render", "version": 1, "key": _key(content), **content}
     if output.folder.exists() and (not output.folder.is_dir() or any(output.folder.iterdir())):
-        if not note.is_file():
+        if not record.is_file():
             raise InputError(
                 f"{output.folder}: expected a new or empty folder, found other files; choose another with -o"
             )
         if not (overwrite or resume):
             raise InputError(
-                f"{output.folder}: exists; pass --resume to go on, --overwrite to begin again, or choose another -o"
+                f"{output.folder}: exists; pass --resume to continue, --overwrite to start over, or choose another -o"
             )
-        if resume and _read_key(note) != wanted["key"]:
+        if resume and _read_key(record) != wanted["key"]:
             raise InputError(
-                f"{note}: was written by other options; pass --overwrite to begin again, or choose another -o"
+                f"{record}: was written with other options; pass --overwrite to start over, or choose another -o"
             )
         if overwrite:
             _remove_own_files(output.folder)
-    text = json.dumps(wanted, indent=1, allow_nan=False) + "\n"
-    write_atomically(note, lambda stream: stream.write(text.encode()))
+    write_json(record, wanted)
 
 
-def read_note(folder: Path) -> str:
-    """The method that drew a folder; `InputError` if ggavatar-render did not write it."""
+def method_of_output(folder: Path) -> str:
+    """The method of an output folder; `InputError` if ggavatar-render did not write it."""
     try:
-        return str(json.loads((folder / NOTE).read_text(encoding="utf-8"))["method"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder}: expected a folder written by ggavatar-render, found none ({error!r})") from error
+        return str(read_json(folder / RECORD)["method"])
+    except (InputError, KeyError) as error:
+        raise InputError(
+            f"{folder}: expected an output folder of ggavatar-render, found another one ({error})"
+        ) from error
 
 
 def _key(content: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-def _read_key(note: Path) -> object:
+def _read_key(record: Path) -> object:
+    """The key of a record; None if the file is damaged."""
     try:
-        return json.loads(note.read_text(encoding="utf-8")).get("key")
-    except (ValueError, AttributeError):
+        return read_json(record).get("key")
+    except InputError:
         return None
 
 
 def _remove_own_files(folder: Path) -> None:
-    numbered = [path for name in (FRAMES, CUTOUTS) for path in (folder / name).glob("[0-9]" * 6 + ".png")]
-    for path in [*numbered, *folder.glob("*.png"), folder / VIDEO, folder / NOTE]:
+    numbered = [path for name in (FRAMES, RGBA) for path in (folder / name).glob("[0-9]" * 6 + ".png")]
+    for path in [*numbered, *folder.glob("*.png"), folder / VIDEO, folder / RECORD]:
         path.unlink(missing_ok=True)
 
 
@@ -125,72 +129,73 @@ def render_views(
     output: Output,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Draw every view; those whose files exist are read instead of drawn, so an interrupted call can go on.
+    """Render every view; those whose files exist are read instead, so an interrupted call can be resumed.
 
     Args:
         avatar: Poses the Gaussians.
-        rasterize: Draws them.
-        views: In the order of the video.
+        rasterize: Renders the Gaussians.
+        views: Views in the order of the video.
         output: Folder, background, video and alpha.
-        progress: Called with (done, total) after every view.
+        progress: Called with (done, total) after every view that is written.
     """
     with contextlib.ExitStack() as stack:
         append = None
         if output.fps is not None:
             append = stack.enter_context(video_writer(output.folder / VIDEO, output.fps))
-        encoder = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="encoder"))
-        waiting: deque[Future[None]] = deque()
-        stack.callback(lambda: [future.cancel() for future in waiting])
-        for done, view in enumerate(views, start=1):
-            picture = _existing(output, view.number)
-            drawn = Drawn(view.number, picture) if picture is not None else _draw(avatar, rasterize, view, output)
-            waiting.append(encoder.submit(_keep, drawn, output, append, is_new=picture is None))
-            if len(waiting) == BATCH:
-                waiting.popleft().result()
+        rendered = _rendered(avatar, rasterize, views, output)
+        # A single encoding thread, since the frames of a video must arrive in order.
+        written = ordered_map(lambda view: _write(view, output, append), rendered, threads=1, ahead=BATCH - 1)
+        for done, _ in enumerate(written, start=1):
             if progress:
                 progress(done, len(views))
-        for future in waiting:
-            future.result()
+
+
+def _rendered(avatar: Avatar, rasterize: Rasterizer, views: Sequence[View], output: Output) -> Iterator[RenderedView]:
+    """The views one by one, read from the folder or rendered."""
+    for view in views:
+        image = _existing(output, view.number)
+        if image is None:
+            yield _render(avatar, rasterize, view, output)
+        else:
+            yield RenderedView(view.number, image, is_new=False)
 
 
 def _existing(output: Output, number: int) -> UInt8[np.ndarray, "H W 3"] | None:
     path = frame_file(output.folder / FRAMES, number)
-    whole = path.is_file() and (not output.alpha or frame_file(output.folder / CUTOUTS, number).is_file())
-    return read_rgb(path) if whole else None
+    complete = path.is_file() and (not output.alpha or frame_file(output.folder / RGBA, number).is_file())
+    return read_rgb(path) if complete else None
 
 
 @torch.no_grad()
-def _draw(avatar: Avatar, rasterize: Rasterizer, view: View, output: Output) -> Drawn:
+def _render(avatar: Avatar, rasterize: Rasterizer, view: View, output: Output) -> RenderedView:
     gaussians = avatar.gaussians(view.drive)
     rendering = rasterize(gaussians, view.camera, gaussians.means.new_tensor(output.background))
-    picture, cutout = to_8_bit(rendering.image.float().cpu().numpy()), None
+    image, rgba = to_8_bit(rendering.image.float().cpu().numpy()), None
     if output.alpha:
         straight = straight_alpha(rendering.image, rendering.alpha, rendering.image.new_tensor(output.background))
-        cutout = to_8_bit(straight.float().cpu().numpy())
-    return Drawn(view.number, picture, cutout)
+        rgba = to_8_bit(straight.float().cpu().numpy())
+    return RenderedView(view.number, image, rgba)
 
 
-def _keep(
-    drawn: Drawn, output: Output, append: Callable[[UInt8[np.ndarray, "H W 3"]], None] | None, is_new: bool
-) -> None:
-    """Write the files of a picture and append it to the video."""
-    if is_new and drawn.cutout is not None:
-        write_rgba(frame_file(output.folder / CUTOUTS, drawn.number), drawn.cutout)
-    if is_new:
-        write_png(frame_file(output.folder / FRAMES, drawn.number), drawn.picture)
+def _write(view: RenderedView, output: Output, append: Callable[[UInt8[np.ndarray, "H W 3"]], None] | None) -> None:
+    """Write the files of a view and append it to the video."""
+    if view.is_new and view.rgba is not None:
+        write_rgba(frame_file(output.folder / RGBA, view.number), view.rgba)
+    if view.is_new:
+        write_png(frame_file(output.folder / FRAMES, view.number), view.image)
     if append:
-        append(drawn.picture)
+        append(view.image)
 
 
 def straight_alpha(
     image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W 1"], background: Float[Tensor, " 3"]
 ) -> Float[Tensor, "H W 4"]:
-    """Colour without the background, and alpha: (I − background·(1 − α)) / α; black where nothing covers a pixel."""
+    """Color without the background, and alpha: (I − background·(1 − α)) / α; black where nothing covers a pixel."""
     color = (image - background * (1 - alpha)) / alpha.clamp_min(1e-6)
     return torch.cat((torch.where(alpha > 0.5 / 255, color, torch.zeros_like(color)), alpha), dim=-1).clamp(0, 1)
 
 
-def write_rgba(path: Path, picture: UInt8[np.ndarray, "H W 4"]) -> None:
+def write_rgba(path: Path, image: UInt8[np.ndarray, "H W 4"]) -> None:
     """Write 8-bit RGBA as PNG, atomically."""
-    encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA))[1]
+    encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA))[1]
     write_atomically(path, lambda stream: stream.write(encoded.tobytes()))

@@ -1,1 +1,1 @@
-"""From runs and folders of images to scores."""
+"""Scoring: from runs and folders of images to evaluations."""

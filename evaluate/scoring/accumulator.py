@@ -1,4 +1,4 @@
-"""From frames scored one by one, in order, to one evaluation: temporal metrics, folder hashes, what is missing, why."""
+"""Accumulates per-frame scores into an evaluation: temporal metrics, folder hashes, missing metrics and reasons."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ Image = UInt8[np.ndarray, "H W 3"]
 
 
 @dataclass(frozen=True)
-class Scored:
-    """One frame: its numbers, and what its neighbour and the hashes need of it.
+class FrameScores:
+    """Scores of one frame, and what the next frame and the hashes need of it.
 
     Attributes:
         frame: Source frame number.
         values: Per-image metrics.
-        images: Render and truth.
-        foreground: Non-zero where the person is; None without masks.
+        images: Prediction and ground truth.
+        foreground: Non-zero inside the person; None without masks.
         hashes: SHA-256 of the files by kind.
-        notes: Departures of the files from 8-bit RGB.
-        landmark_error: Render minus truth, in distances between the eyes; None if no face was found or looked for.
+        notes: Deviations of the files from 8-bit RGB.
+        landmark_error: Prediction minus ground truth, in units of the eye distance; None if no face was found or
+            face metrics are off.
     """
 
     frame: int
@@ -46,15 +47,15 @@ class Scored:
 
 @dataclass(frozen=True)
 class Labels:
-    """What a table calls the scored pictures, and what is known of their making.
+    """Names of the scored images in tables, and what is known of their origin.
 
     Attributes:
         subject: Row of the table.
         method: Column of the table.
-        seed: Of the training run.
+        seed: Seed of the training run.
         efficiency: What rendering and training cost.
         provenance: Run, checkpoint, step.
-        notes: Sentences for the reader.
+        notes: Remarks for the reader, as sentences.
     """
 
     subject: str
@@ -65,8 +66,8 @@ class Labels:
     notes: tuple[str, ...] = ()
 
 
-class Gathering:
-    """Takes frames in ascending order and keeps numbers, not pictures, of all but the last."""
+class Accumulator:
+    """Collects frames in ascending order; keeps the values of all and the images of only the last."""
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
@@ -75,22 +76,22 @@ class Gathering:
         self._rows: list[dict[str, Value]] = []
         self._files: dict[str, list[str]] = {}
         self._notes: dict[str, int] = {}
-        self._last: Scored | None = None
+        self._previous: FrameScores | None = None
         self._errors: dict[int, Points | None] = {}
 
-    def add(self, scored: Scored) -> None:
-        """Take the next frame."""
+    def add(self, scored: FrameScores) -> None:
+        """Add the next frame."""
         self._frames.append(scored.frame)
-        self._rows.append({**scored.values, **self._moving(scored), **self._jitter(scored)})
+        self._rows.append({**scored.values, **self._temporal_values(scored), **self._landmark_jitter(scored)})
         for kind, sha256 in scored.hashes.items():
             self._files.setdefault(kind, []).append(f"{scored.frame} {sha256}\n")
         for note in scored.notes:
             self._notes[note] = self._notes.get(note, 0) + 1
-        self._last = scored
+        self._previous = scored
 
-    def _moving(self, now: Scored) -> dict[str, Value]:
-        """Temporal metrics of this frame, if the one before it was scored too."""
-        before = self._last
+    def _temporal_values(self, now: FrameScores) -> dict[str, Value]:
+        """Temporal metrics of this frame, if the previous source frame was scored too."""
+        before = self._previous
         if not self._temporal or before is None or now.frame != before.frame + 1:
             return dict.fromkeys(self._temporal)
         mask = None
@@ -103,8 +104,8 @@ class Gathering:
             found["flicker"] = flicker(before.images, now.images, mask)
         return found
 
-    def _jitter(self, now: Scored) -> dict[str, Value]:
-        """Landmark jitter of this frame and the two before it, if all three were scored."""
+    def _landmark_jitter(self, now: FrameScores) -> dict[str, Value]:
+        """Landmark jitter over this frame and the two before it, if all three were scored."""
         if "landmark_jitter" not in self._protocol.metrics:
             return {}
         self._errors[now.frame] = now.landmark_error
@@ -113,16 +114,18 @@ class Gathering:
         return {"landmark_jitter": landmark_jitter(last)}
 
     def evaluation(self, labels: Labels, unavailable: Mapping[str, str], weights: Mapping[str, str]) -> Evaluation:
-        """The evaluation of all frames taken.
+        """The evaluation of all frames added.
 
         Args:
             labels: Names for the table.
-            unavailable: Metrics that nothing could measure, with the reason.
+            unavailable: Reasons by metric that could not be measured.
             weights: SHA-256 of the files of learned metrics.
         """
         names = ("mse", *(name for name in self._protocol.columns if name not in unavailable))
         values = {name: tuple(row.get(name) for row in self._rows) for name in names}
-        empty = {name: _reason(name) for name, column in values.items() if all(value is None for value in column)}
+        empty = {
+            name: _missing_reason(name) for name, column in values.items() if all(value is None for value in column)
+        }
         counted = (f"{note}: {count} of {2 * len(self._frames)} files at most" for note, count in self._notes.items())
         return Evaluation(
             subject=labels.subject,
@@ -140,7 +143,7 @@ class Gathering:
         )
 
 
-def _reason(name: str) -> str:
+def _missing_reason(name: str) -> str:
     """Why a metric has no value in any frame."""
     base, _, region = name.partition("@")
     if region:
@@ -153,7 +156,7 @@ def _reason(name: str) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of the packages that decide the numbers."""
+    """Versions of the packages that determine the scores."""
     return {name: _version(name) for name in ("ggavatar", "numpy", "opencv-contrib-python-headless")}
 
 

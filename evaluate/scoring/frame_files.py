@@ -1,4 +1,4 @@
-"""Folders of 8-bit pictures named by source frame number."""
+"""Folders of 8-bit images named by source frame number."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def frame_file(folder: Path, frame: int) -> Path:
-    """Where the picture of a frame lies in a folder of ours."""
+    """Path of a frame's image in a folder written by us."""
     return folder / f"{frame:06d}.png"
 
 
 def frame_files(folder: Path) -> dict[int, Path]:
-    """Pictures of a folder by frame number, which is the last group of digits in the name, in ascending order.
+    """Images of a folder by ascending frame number, which is the last group of digits in the file name.
 
     Raises:
-        InputError: If the folder is missing or holds no picture, or if two files stand for one frame.
+        InputError: The folder is missing or contains no image, or two files have the same frame number.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder of pictures, found none; run ggavatar-eval on the run first")
+        raise InputError(f"{folder}: expected a folder of images, found none; run ggavatar-eval on the run first")
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
         digits = re.findall(r"\d+", path.stem)
@@ -35,29 +35,29 @@ def frame_files(folder: Path) -> dict[int, Path]:
         number = int(digits[-1])
         if number in found:
             raise InputError(
-                f"{folder}: expected one picture per frame, found {found[number].name} and {path.name}; remove one"
+                f"{folder}: expected one image per frame, found {found[number].name} and {path.name}; remove one"
             )
         found[number] = path
     if not found:
-        raise InputError(f"{folder}: expected pictures named by frame number such as 000123.png, found none")
+        raise InputError(f"{folder}: expected images named by frame number such as 000123.png, found none")
     return dict(sorted(found.items()))
 
 
 def find_frame(folder: Path, frame: int) -> Path:
-    """The picture of one frame, whatever its name; `InputError` if the folder has none."""
+    """The image of one frame, however it is named; `InputError` if the folder has none."""
     path = frame_file(folder, frame)
     if path.is_file():
         return path
     files = frame_files(folder)
     if frame not in files:
         raise InputError(
-            f"{folder}: expected a picture of frame {frame}, found none; render it, or choose another frame"
+            f"{folder}: expected an image of frame {frame}, found none; render it, or choose another frame"
         )
     return files[frame]
 
 
 def common_frames(folders: Sequence[Path]) -> list[int]:
-    """Frame numbers that every folder holds, ascending; `InputError` if there are none."""
+    """Ascending frame numbers present in every folder; `InputError` if there are none."""
     numbers = set.intersection(*(set(frame_files(folder)) for folder in folders))
     if not numbers:
         raise InputError(
@@ -67,5 +67,5 @@ def common_frames(folders: Sequence[Path]) -> list[int]:
 
 
 def to_8_bit(image: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
-    """Values in [0, 1] as 8 bits: clamped, scaled by 255 and rounded to the nearest."""
+    """Values in [0, 1] as 8 bits: clamped, scaled by 255 and rounded to nearest."""
     return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)

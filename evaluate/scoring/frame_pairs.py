@@ -1,4 +1,4 @@
-"""Which render belongs to which ground truth: by frame number, and never by guessing."""
+"""Pairs predictions with ground truth strictly by frame number."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from evaluate.scoring.frame_files import frame_files
 from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 
-MASKS = "masks"
-
 
 @dataclass(frozen=True)
 class FramePair:
@@ -19,9 +17,9 @@ class FramePair:
 
     Attributes:
         frame: Source frame number.
-        prediction: The render.
-        truth: The ground truth.
-        masks: Grey pictures by region name; the person's mask is `foreground`.
+        prediction: Predicted image.
+        truth: Ground-truth image.
+        masks: Grayscale masks by region name; the person's mask is `foreground`.
     """
 
     frame: int
@@ -33,27 +31,27 @@ class FramePair:
 def pair_folders(
     predictions: Path, truth: Path, masks: Path | None = None, regions: Path | None = None, frames: Sequence[int] = ()
 ) -> list[FramePair]:
-    """Match the pictures of folders by the frame number in their names.
+    """Match the images of folders by the frame number in their names.
 
     Args:
-        predictions: Folder of renders.
-        truth: Folder of ground truths.
+        predictions: Folder of predictions.
+        truth: Folder of ground-truth images.
         masks: Folder of person masks, or None.
         regions: Folder with one subfolder of masks per region, or None.
-        frames: If given, exactly these frames are paired, and the folders may hold more.
+        frames: If given, exactly these frames are paired, and the folders may contain more.
 
     Returns:
         Pairs in ascending order of frame number.
 
     Raises:
-        InputError: A frame is missing on either side, or the sizes of a pair differ.
+        InputError: A frame is missing on one side, or the sizes of a pair differ.
     """
     rendered, truths = frame_files(predictions), frame_files(truth)
     wanted = sorted(set(frames)) or sorted(truths)
     if not frames:
-        _require(set(rendered) - set(truths), rendered, truth, "no ground truth", "delete the renders that are extra")
-    _require(set(wanted) - set(rendered), truths, predictions, "no render", "render the missing frames")
-    _require(set(wanted) - set(truths), rendered, truth, "no ground truth", "name frames that exist")
+        _require(set(rendered) - set(truths), rendered, truth, "no ground truth", "delete the surplus predictions")
+    _require(set(wanted) - set(rendered), truths, predictions, "no prediction", "render the missing frames")
+    _require(set(wanted) - set(truths), rendered, truth, "no ground truth", "choose frames that exist")
     folders = _mask_folders(masks, regions)
     found = {name: _masks_of(folder, wanted) for name, folder in folders.items()}
     pairs = [
@@ -66,7 +64,7 @@ def pair_folders(
 
 
 def require_equal_sizes(pair: FramePair) -> None:
-    """Compare the sizes in the headers of a pair's files; `InputError` if they differ."""
+    """Compare the image sizes in the headers of a pair's files; `InputError` if they differ."""
     size = image_header(pair.prediction)[:2]
     for path in (pair.truth, *pair.masks.values()):
         other = image_header(path)[:2]
@@ -77,11 +75,11 @@ def require_equal_sizes(pair: FramePair) -> None:
             )
 
 
-def _require(strangers: set[int], known: Mapping[int, Path], folder: Path, what: str, advice: str) -> None:
-    if strangers:
-        listed = ", ".join(map(str, sorted(strangers)[:8])) + (", …" if len(strangers) > 8 else "")
-        example = f" (for example {known[min(strangers)].name})" if min(strangers) in known else ""
-        raise InputError(f"{folder}: {what} for {len(strangers)} frames: {listed}{example}; {advice}")
+def _require(unmatched: set[int], known: Mapping[int, Path], folder: Path, what: str, advice: str) -> None:
+    if unmatched:
+        listed = ", ".join(map(str, sorted(unmatched)[:8])) + (", …" if len(unmatched) > 8 else "")
+        example = f" (for example {known[min(unmatched)].name})" if min(unmatched) in known else ""
+        raise InputError(f"{folder}: {what} for {len(unmatched)} frames: {listed}{example}; {advice}")
 
 
 def _mask_folders(masks: Path | None, regions: Path | None) -> dict[str, Path]:
@@ -96,5 +94,5 @@ def _mask_folders(masks: Path | None, regions: Path | None) -> dict[str, Path]:
 
 def _masks_of(folder: Path, wanted: Sequence[int]) -> dict[int, Path]:
     files = frame_files(folder)
-    _require(set(wanted) - set(files), {}, folder, "no mask", "make the missing masks (an empty one is allowed)")
+    _require(set(wanted) - set(files), {}, folder, "no mask", "add the missing masks (they may be empty)")
     return files

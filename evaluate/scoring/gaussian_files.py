@@ -1,4 +1,4 @@
-"""A file of Gaussians in place of a run folder, drawn and scored with the capture it is seen by."""
+"""A file of Gaussians in place of a run folder, rendered and scored with a capture's cameras."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.training.run_folder import Run
 
 
-def open_file(path: Path, source: GaussianFileOptions, split: str, device: str, backend: str = "auto") -> Run:
-    """A file of Gaussians as a run; where the protocol takes the split as given, it is the capture's.
+def open_gaussian_file(path: Path, source: GaussianFileOptions, split: str, device: str, backend: str = "auto") -> Run:
+    """Open a file of Gaussians as a run; if the protocol leaves the split open, the capture's is used.
 
     Raises:
-        InputError: Not a file of Gaussians, or no capture that fits.
+        InputError: Not a file of Gaussians, or no matching capture.
     """
     if split in (GIVEN, "file") and source.capture is not None:
         known = Capture.open(source.capture).splits
@@ -25,8 +25,8 @@ def open_file(path: Path, source: GaussianFileOptions, split: str, device: str, 
 
 
 def refuse_file_flags(path: Path, source: GaussianFileOptions) -> None:
-    """Refuse flags that say how to open a file where a run is opened."""
+    """Raise `InputError` if options for files of Gaussians are combined with a run."""
     if source.head_model or source.flame_params or source.axes != "auto":
         raise InputError(
-            f"{path}: --head-model, --flame-params and --axes belong to a file of Gaussians, it is none; leave them out"
+            f"{path}: --head-model, --flame-params and --axes belong to a file of Gaussians, this is a run; omit them"
         )

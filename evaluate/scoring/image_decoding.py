@@ -1,4 +1,4 @@
-"""Pictures as they are scored: 8-bit RGB, with every departure from that handled in the open."""
+"""Decodes images for scoring: 8-bit RGB, with a note of every conversion."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from evaluate.scoring.ground_truth import Color
 from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 
-Color = tuple[float, float, float]
 
-
-class Picture(NamedTuple):
-    """A decoded picture and what was done to it.
+class DecodedImage(NamedTuple):
+    """A decoded image and how it was converted.
 
     Attributes:
         pixels: 8-bit RGB.
-        sha256: Of the file's bytes, hex.
-        notes: Departures from 8-bit RGB, in words; empty for most files.
+        sha256: SHA-256 of the file, hex.
+        notes: Conversions to 8-bit RGB, in words; empty for most files.
     """
 
     pixels: UInt8[np.ndarray, "H W 3"]
@@ -30,40 +29,40 @@ class Picture(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_scored(path: Path, background: Color | None) -> Picture:
-    """Decode a render or a ground truth.
+def read_scored(path: Path, background: Color | None) -> DecodedImage:
+    """Decode a prediction or a ground-truth image.
 
-    16-bit values are rounded to the nearest of 256 levels (the protocol's quantisation), grey is repeated, palettes are
-    expanded. Straight alpha is composited on the protocol's background in sRGB; where the protocol leaves the
-    background open, a picture that is not fully opaque is refused, since its colour behind would be a guess.
+    16-bit values are rounded to the nearest of 256 levels (the protocol's quantization), gray is repeated, palettes are
+    expanded. Straight alpha is composited on the protocol's background in sRGB; if the protocol leaves the background
+    open, an image that is not fully opaque is an error, since its background would be a guess.
 
     Args:
-        path: PNG or JPEG.
-        background: sRGB in [0, 1], or None if the protocol does not say.
+        path: PNG or JPEG file.
+        background: sRGB in [0, 1], or None if the protocol leaves it open.
 
     Raises:
-        InputError: The file is missing, damaged, or transparent without a known background.
+        InputError: The file is missing or damaged, or transparent without a known background.
     """
     header = image_header(path)
     content = path.read_bytes()
     values = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None or values.shape[:2] != (header.height, header.width):
-        raise InputError(f"{path}: the picture is damaged and cannot be decoded; render or copy it again")
+        raise InputError(f"{path}: the image is damaged and cannot be decoded; render or copy it again")
     notes = []
     if values.dtype != np.uint8:
-        notes.append("16-bit pictures rounded to 8 bits")
+        notes.append("16-bit images rounded to 8 bits")
     if header.channels < 3:
-        notes.append("grey pictures repeated to RGB")
-    color, alpha = _split(_unit(values) if _needs_unit(values) else values)
+        notes.append("grayscale images repeated to RGB")
+    color, alpha = _split(_unit(values) if _needs_scaling(values) else values)
     if alpha is not None and float(alpha.min()) < 1:
         color = _composited(path, color, alpha, background)
-        notes.append("transparent pictures composited on the background")
+        notes.append("transparent images composited on the background")
     pixels = color if color.dtype == np.uint8 else np.round(np.clip(color, 0, 1) * 255).astype(np.uint8)
-    return Picture(np.ascontiguousarray(pixels), hashlib.sha256(content).hexdigest(), tuple(notes))
+    return DecodedImage(np.ascontiguousarray(pixels), hashlib.sha256(content).hexdigest(), tuple(notes))
 
 
 def read_weights(path: Path) -> tuple[Float[np.ndarray, "H W"], str]:
-    """A mask as weights in [0, 1] and the SHA-256 of its file; the alpha channel is taken where there is one.
+    """A mask as weights in [0, 1] (its alpha channel, if any), and the SHA-256 of its file.
 
     Raises:
         InputError: The file is missing or damaged.
@@ -72,14 +71,14 @@ def read_weights(path: Path) -> tuple[Float[np.ndarray, "H W"], str]:
     content = path.read_bytes()
     values = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None:
-        raise InputError(f"{path}: the mask is damaged and cannot be decoded; make it again")
+        raise InputError(f"{path}: the mask is damaged and cannot be decoded; write it again")
     unit = _unit(values)
     if unit.ndim == 3:
         unit = unit[..., 3] if unit.shape[2] == 4 else unit.mean(axis=2)
     return np.ascontiguousarray(unit, dtype=np.float32), hashlib.sha256(content).hexdigest()
 
 
-def _needs_unit(values: np.ndarray) -> bool:
+def _needs_scaling(values: np.ndarray) -> bool:
     return values.dtype != np.uint8 or (values.ndim == 3 and values.shape[2] == 4)
 
 
@@ -89,7 +88,7 @@ def _unit(values: np.ndarray) -> np.ndarray:
 
 
 def _split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """RGB and straight alpha (or None) of what OpenCV decoded (BGR order)."""
+    """RGB and straight alpha (or None) of an image in OpenCV's channel order."""
     if values.ndim == 2:
         return np.repeat(values[..., None], 3, axis=2), None
     alpha = values[..., 3:] if values.shape[2] == 4 else None
@@ -98,5 +97,5 @@ def _split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
 
 def _composited(path: Path, color: np.ndarray, alpha: np.ndarray, background: Color | None) -> np.ndarray:
     if background is None:
-        raise InputError(f"{path}: the picture has transparency and the background is not known; name it: --background")
+        raise InputError(f"{path}: the image is transparent and its background unknown; pass --background")
     return color * alpha + np.asarray(background) * (1 - alpha)

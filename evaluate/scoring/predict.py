@@ -1,4 +1,4 @@
-"""Render the frames of a split to disk: what every metric, table and figure is computed from."""
+"""Renders the frames of a split to disk, from which all metrics, tables and figures are computed."""
 
 from __future__ import annotations
 
@@ -13,18 +13,16 @@ from typing import Protocol as Interface
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from evaluate.metrics.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.scoring.frame_files import frame_file, to_8_bit
-from evaluate.scoring.ground_truth import Pictures, Truth
+from evaluate.scoring.ground_truth import GroundTruth, ImageSource
 from ggavatar.core import Camera, Drive, Rasterizer
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_atomically
 from ggavatar.io.images import write_png
-from ggavatar.training.run_folder import Run, choose_split, open_run
+from ggavatar.io.json_files import read_json, write_json
+from ggavatar.training.run_folder import Run, choose_split
 
 FOLDERS = ("predictions", "ground_truth", "masks")
 SUMMARY = "predict.json"
@@ -33,21 +31,21 @@ Progress = Callable[[int, int], None]
 
 
 @runtime_checkable
-class Poses(Interface):
-    """Drives and cameras by source frame number, as `ggavatar.data.frames.Frames` has them."""
+class FrameReader(Interface):
+    """Drives and cameras by source frame number, as in `ggavatar.data.frames.Frames`."""
 
     def drive(self, number: int) -> Drive:
-        """What moves the head."""
+        """Drive of a frame."""
         ...
 
     def camera(self, number: int) -> Camera:
-        """Where it is seen from, at the capture's size."""
+        """Camera of a frame, at the capture's size."""
         ...
 
 
 @runtime_checkable
 class Renderable(Interface):
-    """The part of `ggavatar.training.run_folder.Run` that predicting needs."""
+    """The part of `ggavatar.training.run_folder.Run` that prediction needs."""
 
     @property
     def avatar(self) -> Any:
@@ -56,36 +54,36 @@ class Renderable(Interface):
 
     @property
     def rasterize(self) -> Rasterizer:
-        """The renderer for its device."""
+        """The rasterizer for the avatar's device."""
         ...
 
     @property
-    def capture(self) -> Pictures:
-        """Where the ground truth comes from."""
+    def capture(self) -> ImageSource:
+        """Source of the ground truth."""
         ...
 
     @property
-    def reader(self) -> Poses:
-        """What moves and sees the head in each source frame."""
+    def reader(self) -> FrameReader:
+        """Drives and cameras of the source frames."""
         ...
 
 
 @dataclass(frozen=True)
-class Job:
-    """What to predict, and what makes files of an earlier call reusable.
+class PredictionTask:
+    """What to predict, and what identifies files of an earlier call as reusable.
 
     Attributes:
-        frames: Source frame numbers, in the order to render.
-        truth: Background and size of render and ground truth.
-        identity: Plain values that must be equal for existing files to count as done: method, step, protocol.
+        frames: Source frame numbers in rendering order.
+        truth: Background and size of predictions and ground truth.
+        identity: Plain values that must match for existing files to be reused: method, step, split and so on.
     """
 
     frames: tuple[int, ...]
-    truth: Truth
+    truth: GroundTruth
     identity: dict[str, Any]
 
     def described(self) -> dict[str, Any]:
-        """Everything as plain JSON values."""
+        """All fields as plain JSON values."""
         size = list(self.truth.size) if self.truth.size else None
         content = {"background": list(self.truth.background), "size": size, "binary_mask": self.truth.binary_mask}
         return {**content, "frames": sorted(self.frames), "identity": self.identity}
@@ -95,33 +93,12 @@ class Job:
         return hashlib.sha256(json.dumps(self.described(), sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-def predict(
-    run_folder: Path | str,
-    protocol: Protocol,
-    folder: Path,
-    device: str = "cpu",
-    step: int | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Render the test frames of a protocol with a trained run; see `predict_frames` for what is written.
-
-    Args:
-        run_folder: Written by ggavatar-train.
-        protocol: Its split, background, mask and resolution decide the pictures; what is `given` follows the run.
-        folder: Where to write.
-        device: Where to draw.
-        step: Which checkpoint; None is the newest.
-        progress: Called with (done, total).
+def prediction_task(run: Run, protocol: Protocol) -> PredictionTask:
+    """The prediction task of a protocol for a run.
 
     Raises:
-        InputError: Not a run, a split the capture does not have, or test frames that the run was trained on.
+        InputError: The run was trained on test frames of the protocol, or the capture lacks the split.
     """
-    run = open_run(run_folder, device, step)
-    return predict_frames(run, job_of(run, protocol), folder, progress)
-
-
-def job_of(run: Run, protocol: Protocol) -> Job:
-    """What a protocol asks of a run; `InputError` if the run was trained on frames that the protocol tests."""
     own = protocol.split in (GIVEN, run.config.split)
     frames = run.split.test if own else choose_split(run.capture, protocol.split)[1].test
     leaked = sorted(set(frames) & set(run.split.train))
@@ -129,10 +106,10 @@ def job_of(run: Run, protocol: Protocol) -> Job:
         raise InputError(
             f"{run.folder}: expected a run that has not seen the test frames of {protocol.split}, found {len(leaked)} "
             f"of {len(frames)} (first {leaked[0]}) among its training frames (split {run.config.split}); train with "
-            f"--split {protocol.split}, or score with the split it was trained for"
+            f"--split {protocol.split}, or score with the split it was trained with"
         )
     red, green, blue = run.background.tolist() if protocol.background_rgb is None else protocol.background_rgb
-    truth = Truth((red, green, blue), protocol.size, protocol.mask == "binary")
+    truth = GroundTruth((red, green, blue), protocol.size, protocol.mask == "binary")
     identity = {
         "subject": run.capture.subject,
         "method": run.method,
@@ -141,113 +118,110 @@ def job_of(run: Run, protocol: Protocol) -> Job:
         "split": run.config.split if own else protocol.split,
         "fps": run.capture.fps,
     }
-    return Job(tuple(frames), truth, identity)
+    return PredictionTask(tuple(frames), truth, identity)
 
 
 def _digest(run: Run) -> str:
-    """SHA-256 of the checkpoint, or of the file that was opened in place of a run."""
+    """SHA-256 of the checkpoint, or of the file opened in place of a run."""
     if "file_sha256" in run.provenance:
         return str(run.provenance["file_sha256"])
-    record = run.folder / "checkpoints" / f"step-{run.step:09d}.json"
-    return str(json.loads(record.read_text(encoding="utf-8"))["sha256"])
+    return str(read_json(run.folder / "checkpoints" / f"step-{run.step:09d}.json")["sha256"])
 
 
-def predict_frames(run: Renderable, job: Job, folder: Path, progress: Progress | None = None) -> dict[str, Any]:
+def predict_frames(
+    run: Renderable, task: PredictionTask, folder: Path, progress: Progress | None = None
+) -> dict[str, Any]:
     """Write `predictions/`, `ground_truth/` and `masks/` as 8-bit PNG named by source frame number, and `predict.json`.
 
-    Files of an earlier call for the same job are kept, so an interrupted call continues where it was.
+    Files of an earlier call for the same task are kept, so an interrupted call resumes.
 
     Args:
         run: The opened run.
-        job: Frames, background and identity.
-        folder: Where to write; made if missing.
+        task: Frames, background and identity.
+        folder: Output folder; created if missing.
         progress: Called with (done, total) before the first and after every frame.
 
     Returns:
         The content of `predict.json`: frames, number of Gaussians, model size, timing and peak memory.
 
     Raises:
-        InputError: If the folder holds anything but predictions of this job, or the job has no frames.
+        InputError: The folder contains other images than predictions of this task, or the task has no frames.
     """
-    if not job.frames:
+    if not task.frames:
         raise InputError("expected at least one frame to render, found none; choose another split or protocol")
-    summary = _claimed(folder, job)
-    missing = [frame for frame in job.frames if not _done(folder, frame)]
-    done = len(job.frames) - len(missing)
+    summary = _claim_folder(folder, task)
+    missing = [frame for frame in task.frames if not _is_done(folder, frame)]
+    done = len(task.frames) - len(missing)
     report = progress or (lambda done, total: None)
-    report(done, len(job.frames))
+    report(done, len(task.frames))
     seconds: list[float] = []
     counts: list[int] = []
     for number in missing:
-        image, mask = job.truth.of(run.capture, number)
+        image, mask = task.truth.image_and_mask(run.capture, number)
         view = run.reader.drive(number), run.reader.camera(number).resized(image.shape[1], image.shape[0])
-        rendering, gaussians, elapsed = timed_render(run.avatar, run.rasterize, view, job.truth.background)
-        _write_frame(folder, number, (pixels_of(rendering.image), image, mask))
+        rendering, gaussians, elapsed = timed_render(run.avatar, run.rasterize, view, task.truth.background)
+        prediction = to_8_bit(rendering.image.float().cpu().numpy())
+        _write_frame(folder, number, (prediction, image, mask))
         seconds.append(elapsed)
         counts.append(gaussians.means.shape[0])
-        report(done + len(seconds), len(job.frames))
+        report(done + len(seconds), len(task.frames))
     if missing or not summary["complete"]:
         summary = {**summary, **_measured(run.avatar, seconds, counts), "complete": True}
-        _write_summary(folder, summary)
+        write_json(folder / SUMMARY, summary)
     return summary
 
 
-def pixels_of(image: Float[Tensor, "H W C"]) -> np.ndarray:
-    """A picture in [0, 1] as 8-bit pixels on the host; a single channel loses its axis."""
-    pixels = to_8_bit(image.detach().float().cpu().numpy())
-    return pixels[..., 0] if pixels.shape[-1] == 1 else pixels
+def _write_frame(folder: Path, number: int, images: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    for name, image in zip(FOLDERS, images, strict=True):
+        write_png(frame_file(folder / name, number), image)
 
 
-def _write_frame(folder: Path, number: int, pictures: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-    for name, picture in zip(FOLDERS, pictures, strict=True):
-        write_png(frame_file(folder / name, number), picture)
-
-
-def _done(folder: Path, frame: int) -> bool:
+def _is_done(folder: Path, frame: int) -> bool:
     return all(frame_file(folder / name, frame).is_file() for name in FOLDERS)
 
 
-def _claimed(folder: Path, job: Job) -> dict[str, Any]:
-    """Make the folder ours, or check that it already is, and return its summary so far."""
+def _claim_folder(folder: Path, task: PredictionTask) -> dict[str, Any]:
+    """Start a summary in the folder, or return the one of an earlier call for this task."""
     path = folder / SUMMARY
     if path.is_file():
-        return _matching(path, job)
+        return _read_summary(path, task)
     if folder.is_dir() and any((folder / name).exists() for name in FOLDERS):
         raise InputError(
-            f"{folder}: expected no pictures, found some of unknown origin (no {SUMMARY}); choose another -o"
+            f"{folder}: expected no images, found some of unknown origin (no {SUMMARY}); choose another -o"
         )
     summary: dict[str, Any] = {
         "schema": "ggavatar-predictions",
         "version": 1,
-        "key": job.key(),
-        **job.described(),
+        "key": task.key(),
+        **task.described(),
         "complete": False,
     }
-    _write_summary(folder, summary)
+    write_json(folder / SUMMARY, summary)
     return summary
 
 
-def _matching(path: Path, job: Job) -> dict[str, Any]:
-    """The summary at `path`, if it was written for this job."""
+def _read_summary(path: Path, task: PredictionTask) -> dict[str, Any]:
+    """The summary at `path`; `InputError` if it was written for another task."""
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary = read_json(path)
         key, complete = summary["key"], bool(summary["complete"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (InputError, KeyError) as error:
         raise InputError(
-            f"{path}: expected a summary of predictions, found something else ({error!r}); choose another -o"
+            f"{path}: expected a summary of predictions, found something else ({error}); choose another -o"
         ) from error
-    if key != job.key():
-        wanted = job.described()
+    if key != task.key():
+        wanted = task.described()
         changed = [name for name, value in wanted.items() if summary.get(name) != value]
         raise InputError(
-            f"{path.parent}: holds predictions that differ from those asked for in {', '.join(changed) or 'their key'} "
+            f"{path.parent}: contains predictions that differ from those requested in "
+            f"{', '.join(changed) or 'their key'} "
             f"(found {[summary.get(name) for name in changed][:3]}); choose another -o or delete the folder"
         )
     return {**summary, "complete": complete}
 
 
 def _measured(avatar: torch.nn.Module, seconds: list[float], counts: list[int]) -> dict[str, Any]:
-    """Costs; timing and counts only where this call rendered enough to tell."""
+    """Costs; timing and counts only if this call rendered enough frames."""
     device = device_of(avatar)
     found: dict[str, Any] = {
         "model_megabytes": model_megabytes(avatar),
@@ -258,8 +232,3 @@ def _measured(avatar: torch.nn.Module, seconds: list[float], counts: list[int]) 
     if len(seconds) > 1:
         found["timing"] = timing(seconds[1:], device)
     return found
-
-
-def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
-    write_atomically(folder / SUMMARY, lambda stream: stream.write(text.encode()))

@@ -1,4 +1,4 @@
-"""Masks of face, mouth, eyes and hair for the test frames of a run, drawn from its tracked head mesh."""
+"""Masks of face, mouth, eyes and hair for the test frames of a run, from its tracked head mesh."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from ggavatar.training.run_folder import Run
 
 
 def write_region_masks(run: Run, folder: Path, frames: Sequence[int], wanted: Sequence[str]) -> list[str]:
-    """Write `regions/NAME/000123.png` beside the pictures that were predicted, and return the names of the regions.
+    """Write `regions/NAME/000123.png` beside the predictions and return the names of the regions.
 
     Args:
         run: The opened run.
-        folder: Where `predict` wrote `masks/`.
+        folder: Folder in which `predict_frames` wrote `masks/`.
         frames: Source frame numbers.
-        wanted: Regions that the protocol measures; those that come from no mesh (foreground, boundary) are left out.
+        wanted: Regions of the protocol; those not derived from the mesh (foreground, boundary) are skipped.
 
     Returns:
-        Regions that the head model has vertex sets for; others cannot be measured.
+        Regions for which the head model has vertex sets; others cannot be measured.
     """
     names = [name for name in wanted if name in (*MESH_REGIONS, "hair")]
     if not names:
         return []
     head = load_head(run.capture.head_path)
-    drawn: set[str] = set()
+    written: set[str] = set()
     for number in frames:
         person = read_gray(frame_file(folder / "masks", number))
         masks = frame_regions(head, run.reader.drive(number), run.reader.camera(number), person)
         for name in names:
             if name in masks:
                 write_png(frame_file(folder / "regions" / name, number), masks[name])
-                drawn.add(name)
-    return sorted(drawn)
+                written.add(name)
+    return sorted(written)
 
 
 @torch.inference_mode()
@@ -54,10 +54,10 @@ def frame_regions(
     """Masks by region of one frame, 255 inside, at the size of the person's mask.
 
     Args:
-        head: The capture's head model.
-        drive: What moves it.
-        camera: Where it is seen from, at the capture's size.
-        person: The person's mask; the hair is the part of it above and beside the face.
+        head: Head model of the capture.
+        drive: Drive of the frame.
+        camera: Camera of the frame, at the capture's size.
+        person: Person mask; hair is its part above and beside the face.
     """
     height, width = person.shape
     seen = camera.resized(width, height)
@@ -75,6 +75,6 @@ def frame_regions(
 
 
 def _on_cpu(drive: Drive) -> Drive:
-    """The drive where the head model is."""
+    """The drive on the CPU, like the head model."""
     names = ("expression", "joint_rotations", "eyelids", "translation", "head_to_camera")
     return dataclasses.replace(drive, **{name: getattr(drive, name).detach().cpu() for name in names})

@@ -1,29 +1,28 @@
-"""From a run folder to an evaluation: render the test frames, draw the regions, score. Needs torch."""
+"""Evaluates a run: renders its test frames, writes region masks, scores. Needs torch."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from evaluate.options import Options
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
-from evaluate.scoring.gaussian_files import open_file, refuse_file_flags
-from evaluate.scoring.predict import FOLDERS, SUMMARY, Job, job_of, predict_frames
+from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
+from evaluate.scoring.predict import FOLDERS, SUMMARY, PredictionTask, predict_frames, prediction_task
 from evaluate.scoring.region_masks import write_region_masks
-from evaluate.scoring.score import OFF, face_metrics, learned_metrics, score, unavailable
+from evaluate.scoring.score import SWITCHED_OFF, face_metrics, learned_metrics, score, unavailable
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source_options import is_gaussian_file
+from ggavatar.io.json_files import read_json
 from ggavatar.pretrained.folders import model_folders
 from ggavatar.pretrained.lpips import NO_WEIGHTS
+from ggavatar.render.backends import resolve_device
 from ggavatar.training.run_folder import Run, open_run, read_config
 
 Progress = Callable[[int, int], None]
@@ -32,54 +31,53 @@ Progress = Callable[[int, int], None]
 def evaluate_run(
     folder: Path, options: Options, progress: Callable[[str], Progress | None]
 ) -> tuple[Evaluation, list[Path]]:
-    """Predict and score one run under the options' protocol; results that are up to date are read instead.
+    """Render and score one run under the options' protocol, or read its results if they are up to date.
 
     Args:
-        folder: Written by ggavatar-train, or a file of Gaussians to score with the options' capture.
-        options: Of the command.
-        progress: Makes a callback with (done, total) for a title.
+        folder: Run folder of ggavatar-train, or a file of Gaussians to score with the options' capture.
+        options: Options of the command.
+        progress: Creates a callback with (done, total) for a title.
 
     Returns:
         The evaluation and its files, under `RUN/eval/PROTOCOL/`.
 
     Raises:
-        InputError: Not a run, or the protocol cannot be applied to it.
+        InputError: Not a run, the protocol cannot be applied to it, or the device is not available.
     """
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
-    run = _open(folder, options, device)
-    protocol = fitted(options.base_protocol(run.config.split), run)
+    run = _open(folder, options, resolve_device(options.device))
+    protocol = at_capture_resolution(options.base_protocol(run.config.split), run)
     listed = split_name(run.config.split) == protocol.split == "file"
-    job = job_of(run, protocol.override(split=GIVEN) if listed else protocol)
+    task = prediction_task(run, protocol.override(split=GIVEN) if listed else protocol)
     home = run.folder / "eval" / protocol.id
     folders = model_folders(options.models)
     learned = None if options.no_learned else learned_metrics(protocol, folders)
     faces = None if options.no_learned else face_metrics(protocol, folders)
-    if options.again or _is_stale(home, job):
-        discard(home)
-    kept = _kept(home, protocol, set(unavailable(protocol, learned, faces)))
-    if kept is not None:
-        return kept, [home / METRICS_FILE, home / FRAMES_FILE]
-    summary = predict_frames(run, job, home, progress("rendering"))
+    if options.again or _is_stale(home, task):
+        remove_evaluation(home)
+    earlier = _up_to_date(home, protocol, set(unavailable(protocol, learned, faces)))
+    if earlier is not None:
+        return earlier, [home / METRICS_FILE, home / FRAMES_FILE]
+    summary = predict_frames(run, task, home, progress("rendering"))
     inside = () if protocol.region == "full" else (protocol.region,)
-    drawn = write_region_masks(run, home, job.frames, (*protocol.regions, *inside))
-    regions = home / "regions" if drawn else None
-    pairs = pair_folders(home / "predictions", home / "ground_truth", home / "masks", regions, job.frames)
+    written = write_region_masks(run, home, task.frames, (*protocol.regions, *inside))
+    regions = home / "regions" if written else None
+    pairs = pair_folders(home / "predictions", home / "ground_truth", home / "masks", regions, task.frames)
     evaluation = score(pairs, protocol, _labels(run, summary), learned, faces, options.threads, progress("scoring"))
     return evaluation, write_results(evaluation, home)
 
 
 def _open(folder: Path, options: Options, device: str) -> Run:
-    """A run, or a file of Gaussians seen by the capture that the options name, tested by their split."""
+    """A run, or a file of Gaussians with the capture and split of the options."""
     if is_gaussian_file(folder):
-        return open_file(folder, options.source, options.base_protocol(DEFAULT_SPLIT).split, device)
+        return open_gaussian_file(folder, options.source, options.base_protocol(DEFAULT_SPLIT).split, device)
     refuse_file_flags(folder, options.source)
     read_config(folder)
     moved = options.source.capture
     return open_run(folder, device) if moved is None else open_run(folder, device, capture=moved)
 
 
-def fitted(protocol: Protocol, run: Run) -> Protocol:
-    """The protocol at a resolution the capture has: truth is never enlarged nor distorted, and the id says so."""
+def at_capture_resolution(protocol: Protocol, run: Run) -> Protocol:
+    """The protocol, at the capture's own resolution if its own would enlarge or distort the ground truth."""
     own = run.capture.width, run.capture.height
     if protocol.size is None:
         return protocol
@@ -90,27 +88,27 @@ def fitted(protocol: Protocol, run: Run) -> Protocol:
     return protocol
 
 
-def _is_stale(home: Path, job: Job) -> bool:
-    """Whether the folder holds predictions of another checkpoint or by other rules."""
+def _is_stale(home: Path, task: PredictionTask) -> bool:
+    """Whether the folder contains predictions of another checkpoint or for another task."""
     path = home / SUMMARY
-    return path.is_file() and _read(path).get("key") != job.key()
+    return path.is_file() and _read_tolerantly(path).get("key") != task.key()
 
 
-def _kept(home: Path, protocol: Protocol, missing: set[str]) -> Evaluation | None:
-    """An evaluation that is up to date: same predictions, same protocol, same learned metrics without networks."""
-    if not (home / METRICS_FILE).is_file() or not _read(home / SUMMARY).get("complete"):
+def _up_to_date(home: Path, protocol: Protocol, missing: set[str]) -> Evaluation | None:
+    """The stored evaluation, if predictions, protocol and available networks are unchanged."""
+    if not (home / METRICS_FILE).is_file() or not _read_tolerantly(home / SUMMARY).get("complete"):
         return None
     try:
         found = read_results(home)
     except InputError:
         return None
-    lacking = {name for name, reason in found.missing.items() if reason == OFF or reason.startswith(NO_WEIGHTS)}
-    return found if found.protocol.digest == protocol.digest and lacking == missing else None
+    absent = {name for name, reason in found.missing.items() if reason == SWITCHED_OFF or reason.startswith(NO_WEIGHTS)}
+    return found if found.protocol.digest == protocol.digest and absent == missing else None
 
 
-def discard(home: Path) -> None:
-    """Remove what an earlier evaluation wrote, file by file; nothing else in the folder is touched."""
-    summary = _read(home / SUMMARY) if (home / SUMMARY).is_file() else {}
+def remove_evaluation(home: Path) -> None:
+    """Delete the files that an earlier evaluation wrote; anything else in the folder stays."""
+    summary = _read_tolerantly(home / SUMMARY) if (home / SUMMARY).is_file() else {}
     names = [f"{number:06d}.png" for number in summary.get("frames", ())]
     folders = [home / name for name in FOLDERS]
     folders += [path for path in (home / "regions").glob("*") if path.is_dir()]
@@ -123,17 +121,16 @@ def discard(home: Path) -> None:
             path.rmdir()
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """A JSON object, or nothing if the file is damaged: what it described is made again."""
+def _read_tolerantly(path: Path) -> dict[str, Any]:
+    """A JSON object, empty if the file is damaged; what it described is then made again."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json(path)
+    except (InputError, OSError):
         return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _labels(run: Run, summary: dict[str, Any]) -> Labels:
-    """Names and costs of a run."""
+    """Names, costs and provenance of a run."""
     timing = summary.get("timing", {})
     costs = {
         "fps": timing.get("fps"),
@@ -165,6 +162,6 @@ def _statement(timing: dict[str, Any]) -> str:
 
 
 def _megabytes(provenance: dict[str, Any]) -> float | None:
-    """Peak memory of the training, on the accelerator where there was one, 10⁶ bytes."""
+    """Peak memory of the training, 10⁶ bytes: that of the GPU if there was one."""
     mebibytes = provenance.get("peak_gpu_memory_mib") or provenance.get("peak_memory_mib")
     return None if mebibytes is None else mebibytes * 1.048576

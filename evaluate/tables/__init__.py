@@ -1,1 +1,1 @@
-"""Tables of results, and their formats."""
+"""Tables of results and their output formats."""

@@ -1,4 +1,4 @@
-"""The main tables: subjects × methods × metrics as in the paper's Table 1, and one row a method as in its Table 2."""
+"""The main tables: subjects × methods × metrics as in the paper's Table 1, or one row per method as in its Table 2."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import statistics
 from collections.abc import Sequence
 
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.tables.study import Study
 from evaluate.tables.table import (
+    CellSource,
     Column,
     Row,
-    Source,
     Table,
-    marked_across,
-    marked_rows,
     missing_cell,
     number_cell,
+    rank_across,
+    rank_down,
 )
 
 
@@ -32,47 +32,47 @@ def metric_columns(metrics: Sequence[str], group: str = "") -> list[Column]:
 
 
 def subjects_table(study: Study) -> Table:
-    """One row a subject, one group of columns a method, and the mean over the subjects that all methods have."""
-    columns = [column for method in study.methods for column in metric_columns(study.metrics, printed(method))]
+    """One row per subject, one group of columns per method, and the mean over subjects that all methods have."""
+    columns = [column for method in study.methods for column in metric_columns(study.metrics, display_name(method))]
     rows = []
     for subject in study.subjects:
         cells = [study.cell(subject, method, metric) for method in study.methods for metric in study.metrics]
         rows.append(Row(subject, tuple(cells)))
     if len(rows) > 1:
         rows.append(_mean_row(study, rows, columns))
-    marked = tuple(marked_across(row, columns) for row in rows)
+    marked = tuple(rank_across(row, columns) for row in rows)
     return Table(
         "comparison", caption(study), "Metrics", tuple(columns), marked, notes(study), protocol=study.protocol.id
     )
 
 
 def _mean_row(study: Study, rows: Sequence[Row], columns: Sequence[Column]) -> Row:
-    """Mean over the rows in which every method has the metric."""
+    """Mean over the rows in which every method has a value."""
     cells, counts = [], set()
     for place, column in enumerate(columns):
-        rivals = [k for k, other in enumerate(columns) if other.title == column.title]
-        complete = [row for row in rows if all(row.cells[k].value is not None for k in rivals)]
+        competing = [k for k, other in enumerate(columns) if other.title == column.title]
+        complete = [row for row in rows if all(row.cells[k].value is not None for k in competing)]
         counts.add(len(complete))
         values = [v for row in complete if (v := row.cells[place].value) is not None]
         if not values:
             cells.append(missing_cell("no subject has this metric for every method"))
             continue
         method, metric = study.methods[place // len(study.metrics)], study.metrics[place % len(study.metrics)]
-        source = Source("mean", tuple(row.label for row in complete), (method,), metric)
+        source = CellSource("mean", tuple(row.label for row in complete), (method,), metric)
         cells.append(number_cell(statistics.fmean(values), column.digits, source))
     size = f"{min(counts)}–{max(counts)}" if len(counts) > 1 else str(counts.pop())
     return Row(f"mean of {size}", tuple(cells), rule=True)
 
 
 def ablation_table(study: Study) -> Table:
-    """One row a method (or variant), one section a subject; the full method comes last, under a rule, as in Table 2."""
+    """One row per method or variant, one section per subject; the full method comes last, below a rule."""
     columns = tuple(metric_columns(study.metrics))
     full = min(study.methods, key=len)
     order = [*(method for method in study.methods if method != full), full]
     several = len(study.subjects) > 1
     rows = [
         Row(
-            printed(method),
+            display_name(method),
             tuple(study.cell(subject, method, metric) for metric in study.metrics),
             section=subject if several else "",
             rule=method == full,
@@ -84,11 +84,11 @@ def ablation_table(study: Study) -> Table:
     where = "" if several else f" on {study.subjects[0]}"
     words = f"Ablation study{where}. {caption(study)}"
     table = Table("ablation", words, "Methods", columns, tuple(rows), notes(study), protocol=study.protocol.id)
-    return marked_rows(table)
+    return rank_down(table)
 
 
 def caption(study: Study) -> str:
-    """What was measured, in one sentence."""
+    """Protocol and number of test frames, as a sentence."""
     return f"Protocol {study.protocol.id} (digest {study.protocol.digest[:12]}), {_frames(study)}."
 
 
@@ -98,7 +98,7 @@ def _frames(study: Study) -> str:
 
 
 def notes(study: Study) -> tuple[str, ...]:
-    """What a reader must know about the cells."""
+    """Notes on the cells: conditions, ranking, seeds, missing values."""
     found = [conditions(study.protocol)]
     found.append("Cells are means over test frames; best and second are marked per metric, ties after rounding shared.")
     if any(len(study.runs(s, m)) > 1 for s in study.subjects for m in study.methods):
@@ -111,33 +111,35 @@ def notes(study: Study) -> tuple[str, ...]:
             found.append(
                 f"{subject}: the methods were scored against different ground truths or frames; do not rank them."
             )
-    found += [f"{e.subject}, {printed(e.method)}: {note}" for e in study.evaluations for note in e.notes]
+    found += [f"{e.subject}, {display_name(e.method)}: {note}" for e in study.evaluations for note in e.notes]
     return tuple(dict.fromkeys(found))
 
 
 def conditions(protocol: Protocol) -> str:
-    """What a fair table must state, in one sentence."""
+    """The conditions of measurement and the metric definitions."""
     parts = [f"test frames {protocol.split}", f"background {protocol.background}", f"masks {protocol.mask}"]
     parts += [
         f"region {protocol.region}",
         f"size {protocol.resolution}",
-        "8-bit pictures, nothing fitted to test frames",
+        "8-bit images, nothing fitted to test frames",
     ]
     exact = [f"{title_of(name)}: {metric_of(name).definition}" for name in protocol.table_metrics]
     return f"{protocol.id}: {', '.join(parts)}. {'; '.join(exact)}."
 
 
 def missing_notes(study: Study, metrics: Sequence[str]) -> list[str]:
-    """Reasons of the dashes in a table of metrics, each once."""
+    """Reasons for the dashes in a table of metrics, each once."""
     found = [f"– {title_of(m)}: {e.missing[m]}." for e in study.evaluations for m in metrics if m in e.missing]
     return list(dict.fromkeys(found))
 
 
 def _identical_notes(study: Study) -> list[str]:
-    """Evaluations in which some frames, but not all, have an infinite PSNR."""
+    """Notes on evaluations in which some but not all frames have an infinite PSNR."""
     found = []
     for e in study.evaluations:
         count = sum(value is not None and math.isinf(value) for value in e.values.get("psnr", ()))
         if 0 < count < len(e.frames):
-            found.append(f"{e.subject}, {printed(e.method)}: {count} identical frames are not part of the mean PSNR.")
+            found.append(
+                f"{e.subject}, {display_name(e.method)}: {count} identical frames are not part of the mean PSNR."
+            )
     return found

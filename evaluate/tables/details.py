@@ -1,4 +1,4 @@
-"""The tables beside the main one: spread over frames and seeds, paired differences, and what a method costs."""
+"""Secondary tables: spread over frames and seeds, paired differences, and costs."""
 
 from __future__ import annotations
 
@@ -8,25 +8,30 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 from evaluate.metrics.catalogue import metric_of, title_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
 from evaluate.protocols.statistics import BLOCK_SPAN, RESAMPLES, deviation_over_seeds, paired_bootstrap
 from evaluate.tables.comparison import missing_notes
 from evaluate.tables.study import Study
-from evaluate.tables.table import Cell, Column, Row, Source, Table, missing_cell, number_cell
+from evaluate.tables.table import Cell, CellSource, Column, Row, Table, missing_cell, number_cell
 
-SPREAD = (("mean", "mean"), ("median", "median"), ("worst_5_percent", "worst 5 %"), ("std_over_frames", "σ frames"))
+SUMMARY_COLUMNS = (
+    ("mean", "mean"),
+    ("median", "median"),
+    ("worst_5_percent", "worst 5 %"),
+    ("std_over_frames", "σ frames"),
+)
 
 
 def detail_table(study: Study) -> Table:
-    """Every metric that was measured: one row per run and metric with mean, median, worst 5 % and deviations."""
-    columns = [Column("frames", digits=0), *(Column(title) for _, title in SPREAD), Column("σ seeds")]
+    """All measured metrics: one row per run and metric, with mean, median, worst 5 % and deviations."""
+    columns = [Column("frames", digits=0), *(Column(title) for _, title in SUMMARY_COLUMNS), Column("σ seeds")]
     rows: list[Row] = []
     for subject in study.subjects:
         for method in study.methods:
             runs = study.runs(subject, method)
             for metric in runs[0].columns if runs else ():
-                rows += _detail_rows(runs, metric, f"{subject} · {printed(method)}")
+                rows += _detail_rows(runs, metric, f"{subject} · {display_name(method)}")
     caption = f"All metrics under {study.protocol.id}."
     notes = (
         "worst 5 % is the mean over the worst twentieth of the frames, at least one.",
@@ -37,22 +42,25 @@ def detail_table(study: Study) -> Table:
 
 
 def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Iterator[Row]:
-    """One row per run; the deviation over seeds stands in the first."""
+    """One row per run; the deviation over seeds is in the first."""
     means = [m for run in runs if (m := run.summary(metric).mean) is not None]
     over_seeds = deviation_over_seeds(means) if len(means) == len(runs) else None
     for place, run in enumerate(runs):
         label = title_of(metric) + (f", seed {run.seed}" if len(runs) > 1 else "")
         found, digits = run.summary(metric), metric_of(metric).digits
-        reason = run.missing.get(metric, "all renders equal the ground truth" if found.identical else "not defined")
+        reason = run.missing.get(metric, "all predictions equal the ground truth" if found.identical else "not defined")
         where = ((run.subject,), (run.method,), metric)
-        cells = [number_cell(float(found.count), 0, Source("count", *where, run.seed))]
-        cells += [_number(getattr(found, name), digits, reason, Source(name, *where, run.seed)) for name, _ in SPREAD]
+        cells = [number_cell(float(found.count), 0, CellSource("count", *where, run.seed))]
+        cells += [
+            _number(getattr(found, name), digits, reason, CellSource(name, *where, run.seed))
+            for name, _ in SUMMARY_COLUMNS
+        ]
         deviation = over_seeds if place == 0 else None
-        cells.append(_number(deviation, digits, "needs runs with several seeds", Source("std_over_seeds", *where)))
+        cells.append(_number(deviation, digits, "needs runs with several seeds", CellSource("std_over_seeds", *where)))
         yield Row(label, tuple(cells), section)
 
 
-def _number(value: float | None, digits: int, reason: str, source: Source) -> Cell:
+def _number(value: float | None, digits: int, reason: str, source: CellSource) -> Cell:
     return missing_cell(reason) if value is None else number_cell(value, digits, source)
 
 
@@ -64,7 +72,7 @@ def significance_table(study: Study) -> Table | None:
     rows = []
     for first, second in combinations(study.methods, 2):
         cells = tuple(_difference_cell(study, first, second, name) for name in study.metrics)
-        rows.append(Row(f"{printed(first)} − {printed(second)}", cells))
+        rows.append(Row(f"{display_name(first)} − {display_name(second)}", cells))
     notes = (
         "Mean of paired per-frame differences, first minus second, and its 95 % interval; * marks intervals without 0.",
         f"Circular block bootstrap, {RESAMPLES} samples, blocks of {BLOCK_SPAN} source frames (at most a quarter of "
@@ -74,8 +82,8 @@ def significance_table(study: Study) -> Table | None:
     return Table("significance", caption, "Difference", columns, tuple(rows), notes, protocol=study.protocol.id)
 
 
-def paired(study: Study, first: str, second: str, metric: str) -> dict[str, tuple[list[int], list[float]]]:
-    """By subject the frames in which both methods have a finite value, and the differences there."""
+def paired_differences(study: Study, first: str, second: str, metric: str) -> dict[str, tuple[list[int], list[float]]]:
+    """By subject, the frames in which both methods have a finite value and the differences there."""
     groups = {}
     for subject in study.subjects:
         one, other = (_frame_means(study.runs(subject, method), metric) for method in (first, second))
@@ -86,7 +94,7 @@ def paired(study: Study, first: str, second: str, metric: str) -> dict[str, tupl
 
 
 def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
-    """Mean over the seeds of every frame that has a finite value in all runs."""
+    """Mean over seeds for every frame with a finite value in all runs."""
     columns = [dict(zip(run.frames, run.values.get(metric, ()), strict=False)) for run in runs]
     if not columns:
         return {}
@@ -100,7 +108,7 @@ def _frame_means(runs: Sequence[Evaluation], metric: str) -> dict[int, float]:
 
 
 def _difference_cell(study: Study, first: str, second: str, metric: str) -> Cell:
-    groups = paired(study, first, second, metric)
+    groups = paired_differences(study, first, second, metric)
     found = paired_bootstrap(list(groups.values()))
     if found is None:
         return missing_cell("no frame has this metric for both")
@@ -108,7 +116,9 @@ def _difference_cell(study: Study, first: str, second: str, metric: str) -> Cell
     star = "*" if found.is_significant else ""
     text = f"{found.mean:+.{digits}f} [{found.low:+.{digits}f}, {found.high:+.{digits}f}]{star}"
     reason = f"{found.frames} frame pairs, blocks of {found.block}"
-    return Cell(text, found.mean, reason=reason, source=Source("difference", tuple(groups), (first, second), metric))
+    return Cell(
+        text, found.mean, reason=reason, source=CellSource("difference", tuple(groups), (first, second), metric)
+    )
 
 
 COSTS = (
@@ -121,14 +131,15 @@ COSTS = (
 
 
 def efficiency_table(study: Study) -> Table | None:
-    """What rendering and training cost; None if no evaluation says so."""
+    """Costs of rendering and training; None if no evaluation recorded them."""
     known = [e for e in study.evaluations if e.efficiency]
     if not known:
         return None
     columns = tuple(Column(title, digits=digits) for _, title, digits in COSTS)
     several = len({(e.subject, e.method) for e in known}) < len(known)
     rows = tuple(
-        Row(f"{e.subject} · {printed(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e)) for e in known
+        Row(f"{e.subject} · {display_name(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e))
+        for e in known
     )
     words = {e.efficiency["fps_statement"] for e in known if e.efficiency.get("fps_statement")}
     caption = "What rendering and training cost."
@@ -139,6 +150,6 @@ def _costs(run: Evaluation) -> tuple[Cell, ...]:
     found = {key: None if (value := run.efficiency.get(key)) is None else float(value) for key, _, _ in COSTS}
     where = (run.subject,), (run.method,)
     return tuple(
-        _number(found[key], digits, "not recorded", Source("efficiency", *where, key, run.seed))
+        _number(found[key], digits, "not recorded", CellSource("efficiency", *where, key, run.seed))
         for key, _, digits in COSTS
     )

@@ -1,4 +1,8 @@
-"""Tables as LaTeX in the layout of the paper's Tables 1 and 2."""
+"""Tables as LaTeX in the layout of the paper's Tables 1 and 2.
+
+Not by pandas' Styler.to_latex, which sets no section rows, rules between groups, notes or boxes that fit a page, and
+leaves arrows and other symbols unescaped (tried on Table 1).
+"""
 
 from __future__ import annotations
 
@@ -10,22 +14,22 @@ from evaluate.tables.table import BEST, SECOND, Cell, Row, Table
 
 PREAMBLE = r"""% \usepackage[T1]{fontenc} \usepackage[utf8]{inputenc} \usepackage[table]{xcolor} \usepackage{graphicx}
 """
-"""The packages that a document needs which takes in our tables with \\input."""
+"""The packages that a document needs to include our tables with \\input."""
 
-WIDE = 6
-"""Columns beyond which a table goes over both columns of a page."""
+MAX_NARROW_COLUMNS = 6
+"""A table with more columns than this spans both columns of a page."""
 
-TALL = 45
-"""Rows beyond which a table is set as one table a section, so that none is taller than a page."""
+MAX_ROWS = 45
+"""A table with more rows than this is split into one table per section, so that each fits on a page."""
 
-FITTED = (
+SCALE_BOXES = (
     r"  \resizebox{\ifdim\width>\linewidth \linewidth\else\width\fi}{!}{%",
     r"  \resizebox*{!}{\ifdim\totalheight>0.75\textheight 0.75\textheight\else\totalheight\fi}{%",
 )
-"""Boxes that shrink what they hold to the width and most of the height of a page, and never enlarge it."""
+"""Boxes that scale their content down to the width and most of the height of a page, but never up."""
 
 COLORS = {BEST: "red!25", SECOND: "yellow!25"}
-SPECIAL = {
+ESCAPES = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
     "%": r"\%",
@@ -55,14 +59,14 @@ SPECIAL = {
 
 
 def to_latex(tables: Sequence[Table]) -> str:
-    """Table environments one after the other; a comment names the packages."""
+    """Table environments one after the other; a comment lists the required packages."""
     return PREAMBLE + "\n".join(_table(part) for table in tables for part in _parts(table))
 
 
 def _parts(table: Table) -> Iterator[Table]:
-    """The table itself, or one table for each section of a tall one; the notes stand below the last."""
+    """The table itself, or one table per section of a tall one; the notes follow the last."""
     sections = list(dict.fromkeys(row.section for row in table.rows))
-    if len(table.rows) <= TALL or len(sections) == 1:
+    if len(table.rows) <= MAX_ROWS or len(sections) == 1:
         yield table
         return
     for section in sections:
@@ -72,10 +76,10 @@ def _parts(table: Table) -> Iterator[Table]:
 
 
 def _table(table: Table) -> str:
-    environment = "table*" if len(table.columns) > WIDE else "table"
+    environment = "table*" if len(table.columns) > MAX_NARROW_COLUMNS else "table"
     lines = [f"\\begin{{{environment}}}[tp]", "  \\centering", f"  \\caption{{{_caption(table)}}}\\smallskip"]
     lines += [
-        *FITTED,
+        *SCALE_BOXES,
         f"  \\begin{{tabular}}{{{_alignment(table)}}}",
         "    \\hline\\hline",
         *_heading(table),
@@ -87,14 +91,14 @@ def _table(table: Table) -> str:
 
 
 def _caption(table: Table) -> str:
-    """The caption; the key to the colours follows where anything is coloured."""
+    """The caption, followed by the color key if any cell is marked."""
     colored = any(cell.mark for row in table.rows for cell in row.cells)
     key = r" \colorbox{red!25}{Red} indicates the best and \colorbox{yellow!25}{yellow} indicates the second."
     return escaped(table.caption) + (key if colored else "")
 
 
 def _alignment(table: Table) -> str:
-    """`c|ccc|ccc`: a rule after the labels and between groups; `c|c|c` without groups."""
+    """`c|ccc|ccc`: rules after the labels and between groups; `c|c|c` without groups."""
     spans = table.groups
     return "c|" + ("|".join("c" * span for _, span in spans) if spans else "|".join("c" for _ in table.columns))
 
@@ -135,9 +139,10 @@ def _cell(cell: Cell) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text without any character that means something to TeX, and a true minus before numbers.
+    """Text with TeX's special characters escaped and a true minus sign before numbers.
 
-    What pdfTeX's fonts do not have (anything beyond Latin letters) becomes a question mark, so that the file compiles.
+    Characters that pdfTeX's fonts lack (anything beyond Latin letters) become question marks, so that the file
+    compiles.
     """
     signed = re.sub(r"(?<![\w-])-(?=\d)", "−", text)
-    return "".join(SPECIAL.get(character, character if ord(character) < 0x180 else "?") for character in signed)
+    return "".join(ESCAPES.get(character, character if ord(character) < 0x180 else "?") for character in signed)

@@ -1,4 +1,7 @@
-"""Tables as GitHub Markdown: **best**, <u>second</u>, dashes with footnotes."""
+"""Tables as GitHub Markdown: **best**, <u>second</u>, notes below.
+
+DataFrame.to_markdown would need tabulate, another dependency, and would not escape cells.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from evaluate.tables.table import BEST, SECOND, Cell, Row, Table
 
 
 def to_markdown(tables: Sequence[Table]) -> str:
-    """Tables under their captions, in one document."""
+    """Tables with their captions as one document."""
     return "\n".join(_table(table) for table in tables)
 
 
@@ -40,7 +43,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text that cannot end a cell or start markup."""
+    """Text escaped so that it neither ends a cell nor starts markup."""
     for character in ("\\", "|", "*", "_", "<", "`"):
         text = text.replace(character, "\\" + character)
     return text.replace("\n", " ")

@@ -1,4 +1,4 @@
-"""Tables for a terminal, drawn by rich: best in bold red, second in yellow; as signs where colours are not shown."""
+"""Tables for a terminal, by rich: best in bold red, second in yellow; as signs where colors are not supported."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from evaluate.tables.table import BEST, SECOND, Cell, Column, Table
 STYLES = {BEST: "bold red", SECOND: "yellow"}
 SIGNS = {BEST: "*", SECOND: "'"}
 PADDING, EDGES = 3, 2
-"""Cells between two columns, and at both ends of a line together."""
+"""Characters between two columns, and at both ends of a line together."""
 
 
 def show(table: Table, console: Console) -> None:
-    """Print a table with its notes. A table wider than the console is printed in several parts, never cut off."""
+    """Print a table with its notes; one wider than the console is split into several parts, never truncated."""
     colors = console.color_system is not None and not console.no_color
     console.print(Text(table.caption, style="bold"))
-    for places in parts(table, console.width):
-        console.print(_drawn(table, places, colors))
+    for places in column_chunks(table, console.width):
+        console.print(_rich_table(table, places, colors))
     if not colors and any(cell.mark for row in table.rows for cell in row.cells):
         console.print("* best  ' second", highlight=False)
     for note in table.notes:
@@ -31,8 +31,8 @@ def show(table: Table, console: Console) -> None:
     console.print()
 
 
-def parts(table: Table, width: int) -> list[list[int]]:
-    """Columns by part: as many as fit into a width, columns of one group together where a group fits at all."""
+def column_chunks(table: Table, width: int) -> list[list[int]]:
+    """Column indices by part: as many as fit the width; groups stay together if they fit at all."""
     labels = [table.corner, *(row.label for row in table.rows), *(row.section for row in table.rows)]
     room = width - max(map(cell_len, labels)) - EDGES
     chunks: list[list[int]] = []
@@ -46,7 +46,7 @@ def parts(table: Table, width: int) -> list[list[int]]:
 
 
 def _groups(table: Table, room: int) -> list[list[int]]:
-    """Columns that stay together: those of one group, or each for itself where a group is wider than the room."""
+    """Columns that stay together: those of one group, or single columns if the group is too wide."""
     groups: dict[str, list[int]] = {}
     for place, column in enumerate(table.columns):
         groups.setdefault(column.group or str(place), []).append(place)
@@ -55,27 +55,27 @@ def _groups(table: Table, room: int) -> list[list[int]]:
 
 
 def _width(table: Table, place: int) -> int:
-    """Cells a column takes, with room for a sign."""
+    """Width of a column in characters, including a sign."""
     column = table.columns[place]
     texts = (column.title, column.group, *(f"{row.cells[place].text}*" for row in table.rows))
     return max(map(cell_len, texts)) + PADDING
 
 
-def _drawn(table: Table, places: Sequence[int], colors: bool) -> RichTable:
-    drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
-    drawn.add_column(Text(table.corner), no_wrap=True)
+def _rich_table(table: Table, places: Sequence[int], colors: bool) -> RichTable:
+    rich_table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
+    rich_table.add_column(Text(table.corner), no_wrap=True)
     for place in places:
-        drawn.add_column(_heading(table.columns[place]), justify="right", no_wrap=True)
+        rich_table.add_column(_heading(table.columns[place]), justify="right", no_wrap=True)
     section = ""
     for row in table.rows:
         if row.section and row.section != section:
-            drawn.add_section()
-            drawn.add_row(Text(row.section, style="italic"))
+            rich_table.add_section()
+            rich_table.add_row(Text(row.section, style="italic"))
             section = row.section
         if row.rule:
-            drawn.add_section()
-        drawn.add_row(Text(row.label), *(_cell(row.cells[place], colors) for place in places))
-    return drawn
+            rich_table.add_section()
+        rich_table.add_row(Text(row.label), *(_cell(row.cells[place], colors) for place in places))
+    return rich_table
 
 
 def _heading(column: Column) -> Text:

@@ -1,4 +1,4 @@
-"""The paper's own numbers (`paper.csv`, Tables 1 and 2), as tables of their own or beside ours."""
+"""The paper's own numbers (`paper.csv`, Tables 1 and 2), as separate tables or beside ours."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.tables.comparison import ablation_table, subjects_table
 from evaluate.tables.study import Study
-from evaluate.tables.table import Column, Row, Table, marked_across, marked_rows, missing_cell, number_cell
+from evaluate.tables.table import Column, Row, Table, missing_cell, number_cell, rank_across, rank_down
 
 OURS = "Ours"
 PAPER = Path(__file__).with_name("paper.csv")
 SECTION = "paper (protocol not stated)"
 UNSTATED = "The paper (Li et al. 2024) states neither background, SSIM variant, LPIPS network nor input range."
-NOTE = f"The paper's rows stand beside ours for orientation only; its subjects are not ours. {UNSTATED}"
+NOTE = f"The paper's rows are shown for orientation only; its subjects are not ours. {UNSTATED}"
 METRICS = (("psnr", "PSNR ↑", True, 2), ("ssim", "SSIM ↑", True, 3), ("lpips", "LPIPS ↓", False, 3))
 
 
@@ -43,7 +43,7 @@ def read_paper() -> list[Published]:
 
 
 def paper_table_1() -> Table:
-    """Table 1: five subjects, four methods, three metrics; the marks are computed, not copied."""
+    """Table 1: five subjects, four methods, three metrics; marks are computed, not copied."""
     rows = [row for row in read_paper() if row.table == 1]
     methods = tuple(dict.fromkeys(row.method for row in rows))
     columns = [column for method in methods for column in _columns(method)]
@@ -53,13 +53,13 @@ def paper_table_1() -> Table:
 
 def paper_table_2() -> Table:
     """Table 2: the ablation study on ID 1."""
-    rows = [row for row in read_paper() if row.table == 2]
-    drawn = [
+    published = [row for row in read_paper() if row.table == 2]
+    rows = [
         Row(row.method, tuple(number_cell(row.numbers[n], d) for n, _, _, d in METRICS), rule=row.method == OURS)
-        for row in rows
+        for row in published
     ]
     columns, caption = tuple(_columns("")), "Ablation study on ID 1."
-    return marked_rows(Table("paper-2", caption, "Methods", columns, tuple(drawn), (UNSTATED,)))
+    return rank_down(Table("paper-2", caption, "Methods", columns, tuple(rows), (UNSTATED,)))
 
 
 def with_paper(study: Study) -> Table:
@@ -67,15 +67,18 @@ def with_paper(study: Study) -> Table:
     table = subjects_table(study)
     published = [row for row in read_paper() if row.table == 1]
     theirs = {_ours(row.method): row for row in published}
-    methods = (*map(printed, study.methods), *(name for name in theirs if name not in set(map(printed, study.methods))))
+    methods = (
+        *map(display_name, study.methods),
+        *(name for name in theirs if name not in set(map(display_name, study.methods))),
+    )
     width = len(study.metrics)
     titles = table.columns[:width]
     columns = [dataclasses.replace(column, group=method) for method in methods for column in titles]
     gap = tuple(missing_cell("not evaluated here") for _ in range((len(methods) - len(study.methods)) * width))
     own = [dataclasses.replace(row, cells=row.cells + gap, section="ours") for row in table.rows]
     places = [_family(name) for name in study.metrics]
-    drawn = own + _paper_rows(published, methods, places, columns)
-    return dataclasses.replace(table, columns=tuple(columns), rows=tuple(drawn), notes=(*table.notes, NOTE))
+    rows = own + _paper_rows(published, methods, places, columns)
+    return dataclasses.replace(table, columns=tuple(columns), rows=tuple(rows), notes=(*table.notes, NOTE))
 
 
 def ablation_with_paper(study: Study) -> Table:
@@ -86,8 +89,8 @@ def ablation_with_paper(study: Study) -> Table:
     theirs = []
     for row in paper_table_2().rows:
         cells = dict(zip((name for name, *_ in METRICS), row.cells, strict=True))
-        drawn = tuple(cells.get(name, missing_cell("not in the paper's table")) for name in families)
-        theirs.append(Row(_ours(row.label), drawn, f"ID 1, {SECTION}", row.rule))
+        shown = tuple(cells.get(name, missing_cell("not in the paper's table")) for name in families)
+        theirs.append(Row(_ours(row.label), shown, f"ID 1, {SECTION}", row.rule))
     return dataclasses.replace(table, rows=(*own, *theirs), notes=(*table.notes, NOTE))
 
 
@@ -105,7 +108,7 @@ def _paper_rows(
                 known = metric in numbers
                 reason = "not in the paper's table"
                 cells.append(number_cell(numbers[metric], digits[metric]) if known else missing_cell(reason))
-        rows.append(marked_across(Row(subject, tuple(cells), SECTION), columns))
+        rows.append(rank_across(Row(subject, tuple(cells), SECTION), columns))
     return rows
 
 
@@ -114,7 +117,7 @@ def _rows(rows: Sequence[Published], methods: Sequence[str], columns: Sequence[C
     for subject in dict.fromkeys(row.subject for row in rows):
         numbers = {row.method: row.numbers for row in rows if row.subject == subject}
         cells = tuple(number_cell(numbers[method][n], d) for method in methods for n, _, _, d in METRICS)
-        found.append(marked_across(Row(subject, cells), columns))
+        found.append(rank_across(Row(subject, cells), columns))
     return found
 
 
@@ -123,11 +126,11 @@ def _columns(group: str) -> list[Column]:
 
 
 def _ours(method: str) -> str:
-    """The paper's method under the name our tables print."""
+    """The display name of a method of the paper."""
     return "GGAvatar" if method == OURS else method
 
 
 def _family(metric: str) -> str:
-    """The paper's column nearest to one of our metrics; where there is none, the metric itself."""
+    """The paper's column that corresponds to one of our metrics; otherwise the metric itself."""
     base = metric.partition("_")[0]
     return base if base in ("ssim", "lpips") else metric

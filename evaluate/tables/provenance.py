@@ -1,42 +1,45 @@
-"""What was scored: the frames of every evaluation, and digests of the pictures."""
+"""What was scored: the frames of every evaluation and the digests of its images."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
 from evaluate.tables.study import Study
 from evaluate.tables.table import Cell, Column, Row, Table, missing_cell
 
-SHOWN = 16
-"""Characters of a SHA-256 that are printed; the cell's reason holds all of them."""
+DIGEST_CHARACTERS = 16
+"""Leading characters of a SHA-256 that are printed; the cell's reason contains the full digest."""
 
 
 def sources_table(study: Study) -> Table:
-    """One row per evaluation: its test frames and the SHA-256 of renders and ground truth."""
+    """One row per evaluation: its test frames and the SHA-256 of predictions and ground truth."""
     columns = tuple(Column(title) for title in ("test frames", "protocol digest", "renders", "ground truth"))
     rows = tuple(Row(_label(run), _cells(run)) for run in study.evaluations)
-    caption = f"What was scored under {study.protocol.id}: SHA-256 of the protocol and of the pictures."
+    caption = f"What was scored under {study.protocol.id}: SHA-256 of the protocol and of the images."
     notes = (
-        f"Of pictures it is taken over the lines FRAME SHA256-OF-FILE in ascending order. Cut to {SHOWN} characters; "
-        "metrics.json has all.",
+        f"For images it is taken over the lines FRAME SHA256-OF-FILE in ascending order. Cut to {DIGEST_CHARACTERS} "
+        "characters; metrics.json contains the full digests.",
     )
     return Table("sources", caption, "Evaluation", columns, rows, notes, protocol=study.protocol.id)
 
 
 def _label(run: Evaluation) -> str:
-    return f"{run.subject} · {printed(run.method)}" + ("" if run.seed is None else f", seed {run.seed}")
+    return f"{run.subject} · {display_name(run.method)}" + ("" if run.seed is None else f", seed {run.seed}")
 
 
 def _cells(run: Evaluation) -> tuple[Cell, ...]:
     digests = [run.protocol.digest, *(run.hashes.get(kind, "") for kind in ("predictions", "ground_truth"))]
-    known = [Cell(digest[:SHOWN], reason=digest) if digest else missing_cell("not recorded") for digest in digests]
+    known = [
+        Cell(digest[:DIGEST_CHARACTERS], reason=digest) if digest else missing_cell("not recorded")
+        for digest in digests
+    ]
     return Cell(ranges(run.frames, 8), reason=ranges(run.frames)), *known
 
 
 def ranges(frames: Sequence[int], most: int | None = None) -> str:
-    """Frame numbers with runs joined, such as 0, 20, 40–43; lists of more than `most` parts are cut in the middle."""
+    """Frame numbers with consecutive ones joined, such as 0, 20, 40–43; more than `most` parts are elided."""
     runs: list[list[int]] = []
     for frame in frames:
         if runs and frame == runs[-1][1] + 1:

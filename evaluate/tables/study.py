@@ -1,4 +1,4 @@
-"""Evaluations under one protocol, by subject and method."""
+"""Studies: evaluations under one protocol, by subject and method."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evaluate.metrics.catalogue import metric_of
-from evaluate.protocols.method_names import printed
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
 from evaluate.protocols.statistics import deviation_over_seeds
 from evaluate.tables.table import (
     IDENTICAL,
     Cell,
-    Source,
+    CellSource,
     missing_cell,
     number_cell,
 )
@@ -29,57 +29,57 @@ class Study:
 
     @property
     def subjects(self) -> tuple[str, ...]:
-        """In the order of the evaluations."""
+        """Subjects in the order of the evaluations."""
         return tuple(dict.fromkeys(e.subject for e in self.evaluations))
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """In the order of the evaluations."""
+        """Methods in the order of the evaluations."""
         return tuple(dict.fromkeys(e.method for e in self.evaluations))
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """What the main table shows."""
+        """Metrics of the main table."""
         return self.protocol.table_metrics
 
     @property
     def protocol(self) -> Protocol:
-        """What all of them were scored under."""
+        """The common protocol."""
         return self.evaluations[0].protocol
 
     def runs(self, subject: str, method: str) -> list[Evaluation]:
-        """The evaluations of one pair."""
+        """The evaluations of one subject and method, one per seed."""
         return [e for e in self.evaluations if e.subject == subject and e.method == method]
 
     def cell(self, subject: str, method: str, metric: str) -> Cell:
         """Mean over frames, then over seeds; `±` is the deviation over seeds."""
         runs = self.runs(subject, method)
         if not runs:
-            return missing_cell(f"{printed(method)} was not evaluated on {subject}")
+            return missing_cell(f"{display_name(method)} was not evaluated on {subject}")
         summaries = [run.summary(metric) for run in runs]
         means = [summary.mean for summary in summaries if summary.mean is not None]
         if len(means) == len(runs):
-            source = Source("mean", (subject,), (method,), metric)
+            source = CellSource("mean", (subject,), (method,), metric)
             return number_cell(statistics.fmean(means), metric_of(metric).digits, source, deviation_over_seeds(means))
         if all(summary.identical for summary in summaries):
-            return Cell(IDENTICAL, reason="all renders equal the ground truth; PSNR is infinite")
+            return Cell(IDENTICAL, reason="all predictions equal the ground truth; PSNR is infinite")
         return missing_cell(next((r.missing[metric] for r in runs if metric in r.missing), "not measured"))
 
 
 def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
-    """Evaluations sorted into studies of one protocol each.
+    """Group evaluations into studies of one protocol each.
 
     Raises:
-        InputError: Two evaluations of one subject and method under one protocol that no seed tells apart.
+        InputError: Two evaluations of one subject, method and protocol do not differ in their seed.
     """
     groups: dict[str, list[Evaluation]] = {}
-    seen: set[tuple] = set()
+    seen: set[tuple[object, ...]] = set()
     for evaluation in evaluations:
         key = (evaluation.protocol.digest, evaluation.subject, evaluation.method, evaluation.seed)
         if key in seen:
             raise InputError(
                 f"two evaluations of {evaluation.method} on {evaluation.subject} with seed {evaluation.seed} under "
-                f"{evaluation.protocol.id}; leave one out, or name them apart with --labels"
+                f"{evaluation.protocol.id}; omit one, or distinguish them with --labels"
             )
         seen.add(key)
         groups.setdefault(evaluation.protocol.digest, []).append(evaluation)
@@ -89,6 +89,6 @@ def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
             if evaluation.seed is None and len(study.runs(evaluation.subject, evaluation.method)) > 1:
                 raise InputError(
                     f"several evaluations of {evaluation.method} on {evaluation.subject}, one of them without a seed; "
-                    "score it again with --seed, or name them apart with --labels"
+                    "score it again with --seed, or distinguish them with --labels"
                 )
     return found

@@ -1,4 +1,4 @@
-"""Tables of all evaluations, and the files they are written to."""
+"""Builds the tables of all evaluations and writes them in every format."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluate.protocols.results import Evaluation, to_json, write_text
+from evaluate.protocols.results import Evaluation, to_json
 from evaluate.tables import format_data, format_html, format_latex, format_markdown
 from evaluate.tables.comparison import ablation_table, subjects_table
 from evaluate.tables.details import detail_table, efficiency_table, significance_table
@@ -15,6 +15,7 @@ from evaluate.tables.paper import ablation_with_paper, paper_table_1, paper_tabl
 from evaluate.tables.provenance import sources_table
 from evaluate.tables.study import Study, studies
 from evaluate.tables.table import Table
+from ggavatar.io.atomic import write_text
 
 RENDERERS = {
     "md": format_markdown.to_markdown,
@@ -28,10 +29,10 @@ def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper:
     """The main table of every protocol, followed by paired differences, costs, details and what was scored.
 
     Args:
-        evaluations: Any number, in the order in which subjects and methods shall appear.
-        layout: `subjects` is the paper's Table 1, `ablation` its Table 2; `auto` takes the latter for one subject with
-            more than four methods.
-        paper: Set the paper's rows below ours, or give its tables alone where there is nothing of ours.
+        evaluations: Any number of evaluations, in the order in which subjects and methods appear.
+        layout: `subjects` as in the paper's Table 1, `ablation` as in its Table 2; `auto` takes the latter for one
+            subject with more than four methods.
+        paper: Add the paper's rows below ours, or return its tables alone without evaluations.
 
     Raises:
         InputError: Two evaluations of one subject, method, seed and protocol.
@@ -55,9 +56,9 @@ def write_tables(tables: Sequence[Table], folder: Path, results: Sequence[Path])
     """Write `table.md`, `.tex`, `.csv`, `.json` and `.html` atomically and return their paths.
 
     Args:
-        tables: From `build_tables`.
-        folder: Where to write.
-        results: The result files behind the tables; `table.json` lists them relative to the folder.
+        tables: Tables from `build_tables`.
+        folder: Output folder.
+        results: Result files behind the tables; `table.json` lists them relative to the folder.
     """
     relative = [Path(os.path.relpath(path, folder)).as_posix() for path in results]
     texts = {f"table.{suffix}": render(tables) for suffix, render in RENDERERS.items()}
@@ -68,7 +69,7 @@ def write_tables(tables: Sequence[Table], folder: Path, results: Sequence[Path])
 
 
 def write_copies(evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
-    """Write the results behind a table of several beside it, under the labels of the table."""
+    """Write copies of the results behind a table into its folder, under the labels of the table, and return them."""
     paths = []
     for place, evaluation in enumerate(evaluations):
         name = re.sub(r"[^A-Za-z0-9._-]", "-", f"{place:02d}-{evaluation.subject}-{evaluation.method}")

@@ -51,7 +51,8 @@ def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
 
 def frames_in_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> TriangleFrames:
     """`triangle_frames` in plain torch: any dtype and device, differentiable."""
-    corner_0, corner_1, corner_2 = vertices[faces].unbind(1)
+    # The gradient of `vertices[faces]` would be added by several threads in any order; this one is added in order.
+    corner_0, corner_1, corner_2 = vertices.index_select(0, faces.flatten()).unflatten(0, faces.shape).unbind(1)
     edge_10, edge_20 = corner_1 - corner_0, corner_2 - corner_0
     length = edge_10.norm(dim=-1)
     axis_0 = _unit_or(edge_10, (1.0, 0.0, 0.0))

@@ -12,16 +12,16 @@ from ggavatar.io.atomic import write_atomically
 MAX_JSON_BYTES = 1 << 26
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a file of bounded size; NaN and infinities are refused."""
+def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
+    """A JSON object from a file of at most `limit` bytes; NaN and infinities are refused."""
 
     def refuse(constant: str) -> float:
         raise ValueError(f"{constant} is not a number JSON knows")
 
     try:
         size = path.stat().st_size
-        if size > MAX_JSON_BYTES:
-            raise InputError(f"{path}: {size >> 20} MiB of JSON, the limit is {MAX_JSON_BYTES >> 20} MiB")
+        if size > limit:
+            raise InputError(f"{path}: {size >> 20} MiB of JSON, the limit is {limit >> 20} MiB")
         data = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{path}: no such file") from error

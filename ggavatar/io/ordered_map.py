@@ -34,7 +34,7 @@ def ordered_map(
     Args:
         function: Called once for each item, from any thread.
         items: May be endless or expensive: only a few are held at a time.
-        threads: How many threads call the function; None is one for each core.
+        threads: One for each core by default.
         ahead: Results that may wait for their turn, beside one for each thread.
     """
     threads = threads or cores()

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ggavatar.data.capture import Capture
-from preprocess.tracking.geometry.rigid import spread_evenly
+from preprocess.tracking.geometry.rigid import evenly_spaced
 
 FRAMES = 9
 DARK = 20
@@ -30,7 +30,7 @@ class Bars(NamedTuple):
 
 def black_bars(capture: Capture) -> Bars:
     """The black bars that masks count as person; zeros where there are none."""
-    numbers = [capture.frames[row] for row in spread_evenly(len(capture.frames), FRAMES)]
+    numbers = [capture.frames[row] for row in evenly_spaced(len(capture.frames), FRAMES)]
     brightest = np.max([capture.image(number).max(axis=2) for number in numbers], axis=0)
     counted = np.mean([capture.mask(number) > 127 for number in numbers], axis=0)
     rows, columns = (np.percentile(brightest, 99, axis=axis) <= DARK for axis in (1, 0))

@@ -23,7 +23,7 @@ from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Job, Stage, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence
-from preprocess.tracking.torso.torso import followed_torso
+from preprocess.tracking.torso.torso import track_torso
 from preprocess.video.crop import crop_from_json
 
 
@@ -121,7 +121,7 @@ def with_torso(job: Job, head: HeadModel, tracking: Tracking, numbers: Sequence[
     """The tracking with the torso's own motion, which other trackers do not tell."""
     images = PicturesOnDisk(job, "images", numbers, read_rgb)
     masks = PicturesOnDisk(job, "masks", numbers, read_gray)
-    torso = followed_torso(head, tracking, images, masks, float(job.results["frames"]["fps"]))
+    torso = track_torso(head, tracking, images, masks, float(job.results["frames"]["fps"]))
     return dataclasses.replace(tracking, torso_to_camera=torso)
 
 

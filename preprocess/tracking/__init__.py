@@ -1,1 +1,1 @@
-"""Our own tracker: from landmarks, outlines and texture to a head, its poses and its expressions."""
+"""The built-in tracker: from landmarks, outlines and texture to a head model, its poses and its expressions."""

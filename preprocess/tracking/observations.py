@@ -1,4 +1,4 @@
-"""One pass over a clip's pictures: everything that tracking needs of them, in little memory."""
+"""One pass over a clip's frames: extracts all that tracking needs from them, in little memory."""
 
 from __future__ import annotations
 
@@ -10,62 +10,68 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import ordered_map
 from ggavatar.landmarks.tracker import LandmarkTracker
-from preprocess.tracking.face.clip_fit import Clip
-from preprocess.tracking.geometry.rigid import nearest_true
-from preprocess.tracking.head.silhouette_fit import Outlines, chosen_rows, reduce_mask
-from preprocess.tracking.pose.outline_cue import Edges, reduced_distances
-from preprocess.tracking.pose.texture_images import SkinPictures, skin_picture
+from preprocess.tracking.face.clip_fit import ClipLandmarks
+from preprocess.tracking.geometry.rigid import nearest_true_index
+from preprocess.tracking.head.silhouette_fit import OutlineMasks, downscaled_mask, outline_frames
+from preprocess.tracking.pose.outline_cue import OutlineDistances, signed_distances
+from preprocess.tracking.pose.texture_images import SkinImages, skin_image
 from preprocess.tracking.torso.texture import TorsoTracker
-from preprocess.tracking.torso.torso import TorsoMotions, torso_motions
+from preprocess.tracking.torso.torso import TorsoImageMotions, torso_image_motions
 
-ENOUGH_FRAMES = 8
+MINIMUM_FRAMES_WITH_FACE = 8
 
 
 @dataclass(frozen=True)
-class Watched:
-    """What one pass over the pictures gave.
+class Observations:
+    """What one pass over the frames extracts.
 
     Attributes:
         clip: Landmarks.
-        torso: How its image moves.
-        outlines: Masks of a few frames.
-        edges: Outlines of all frames, more coarsely.
+        torso: Motion of the torso in the image.
+        outline_masks: Masks of a few frames.
+        outline_distances: Distances to the outlines of all frames, at a lower resolution.
         skin: The face's texture in all frames.
     """
 
-    clip: Clip
-    torso: TorsoMotions
-    outlines: Outlines
-    edges: Edges
-    skin: SkinPictures
+    clip: ClipLandmarks
+    torso: TorsoImageMotions
+    outline_masks: OutlineMasks
+    outline_distances: OutlineDistances
+    skin: SkinImages
 
 
-def watch(images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker) -> Watched:
-    """Landmarks and torso motion of every frame, holding a few pictures at a time."""
+def observe(
+    images: Sequence[np.ndarray], masks: Sequence[np.ndarray], fps: float, tracker: LandmarkTracker
+) -> Observations:
+    """Extract landmarks, outlines, texture and torso motion of every frame, with a few frames in memory at a time.
+
+    Raises:
+        InputError: A face was found in fewer than `MINIMUM_FRAMES_WITH_FACE` frames.
+    """
     torso, points, scores, texture, kept, distances, skin = TorsoTracker(), [], [], [], [], [], []
-    rows, size = chosen_rows(len(images)), (0, 0)
-    pictures = ordered_map(lambda index: (images[index], masks[index]), range(len(images)))
-    for index, (image, mask) in enumerate(pictures):
+    rows, size = outline_frames(len(images)), (0, 0)
+    frames = ordered_map(lambda index: (images[index], masks[index]), range(len(images)))
+    for index, (image, mask) in enumerate(frames):
         size = (image.shape[1], image.shape[0])
-        found = tracker.landmarks(image)
-        points.append(None if found is None else found.points)
-        scores.append(np.zeros(52) if found is None else found.blendshapes)
+        face = tracker.landmarks(image)
+        points.append(None if face is None else face.points)
+        scores.append(np.zeros(52) if face is None else face.blendshapes)
         texture.append(torso.motion(image, mask, points[-1]))
-        distances.append(reduced_distances(mask))
-        skin.append(skin_picture(image, points[-1]))
+        distances.append(signed_distances(mask))
+        skin.append(skin_image(image, points[-1]))
         if index in rows:
-            kept.append(reduce_mask(mask))
-    seen = np.array([here is not None for here in points])
-    if seen.sum() < ENOUGH_FRAMES:
+            kept.append(downscaled_mask(mask))
+    found = np.array([face_points is not None for face_points in points])
+    if found.sum() < MINIMUM_FRAMES_WITH_FACE:
         raise InputError(
-            f"a face was found in {seen.sum()} of {len(seen)} frames, expected at least {ENOUGH_FRAMES}; "
-            "is the clip a portrait video?"
+            f"expected a face in at least {MINIMUM_FRAMES_WITH_FACE} frames, found one in {found.sum()} of "
+            f"{len(found)}; is the clip a portrait video?"
         )
-    nearest = nearest_true(seen)
+    nearest = nearest_true_index(found)
     filled = np.stack([points[index] for index in nearest])
-    clip = Clip(filled, np.stack(scores)[nearest].astype(np.float64), seen, size, fps)
-    edges = Edges(np.stack(distances), distances[0].shape[1] / size[0])
-    faces = [(float(shape[:, 1].min()), float(shape[:, 1].max())) for shape in filled]
-    motions = torso_motions(texture, edges, faces, fps)
-    outlines = Outlines(rows, np.stack(kept), kept[0].shape[1] / size[0])
-    return Watched(clip, motions, outlines, edges, SkinPictures.of(skin))
+    clip = ClipLandmarks(filled, np.stack(scores)[nearest].astype(np.float64), found, size, fps)
+    outline = OutlineDistances(np.stack(distances), distances[0].shape[1] / size[0])
+    faces = [(float(face_points[:, 1].min()), float(face_points[:, 1].max())) for face_points in filled]
+    motions = torso_image_motions(texture, outline, faces, fps)
+    outline_masks = OutlineMasks(rows, np.stack(kept), kept[0].shape[1] / size[0])
+    return Observations(clip, motions, outline_masks, outline, SkinImages.stack(skin))

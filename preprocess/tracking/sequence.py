@@ -1,4 +1,4 @@
-"""What every source of tracking hands to the rest of the pipeline, be it an importer or the built-in tracker."""
+"""What every source of tracking, an importer or the built-in tracker, passes to the rest of the pipeline."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ggavatar.head.model import HeadModel
 
 @dataclass(frozen=True)
 class TrackedSequence:
-    """Tracking of the capture's frames, and the head it belongs to.
+    """Tracking of the capture's frames, and the head model it belongs to.
 
     Attributes:
         tracking: One row for each frame of the capture, intrinsics in px of the capture's images.
         head: Head model with the identity folded in; as many expressions and joints as the tracking.
-        report: What the tracker wants to be known: name, version, residuals, warnings. Plain JSON values.
+        report: The tracker's name, version, residuals and warnings, as plain JSON values.
     """
 
     tracking: Tracking

@@ -1,4 +1,4 @@
-"""The built-in tracker: from a clip's images and masks to cameras, head parameters and a head of the subject's own."""
+"""The built-in tracker: from a clip's images and masks to cameras, head parameters and a head model of the subject."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from ggavatar.landmarks.networks import FaceFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
 from ggavatar.pretrained import catalogue
 from preprocess.options import PrepOptions, TrackingOptions
-from preprocess.tracking.face.clip_fit import ClipFit, FoundCamera, find_camera, learn_face, reprojection
-from preprocess.tracking.face.gaze import CLOSED, centered_eyes, conjugate, eye_turns
+from preprocess.tracking.face.clip_fit import CameraEstimate, ClipFit, estimate_camera, fit_face, reprojection_errors
+from preprocess.tracking.face.gaze import CLOSED_LID, centered_eyeballs, conjugate_gaze, eye_rotations
 from preprocess.tracking.flame_tracker import track_flame
-from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS, anchoring, rigidity
-from preprocess.tracking.geometry.rigid import Poses
+from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS, rigidity, surface_stability
+from preprocess.tracking.geometry.rigid import RigidPoses
 from preprocess.tracking.geometry.smoothing import penalty, pose_jitter, smooth
 from preprocess.tracking.head.expression_axes import AXES, score
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.tracking.head.personal_head import NECK_UNIT, assemble, move_eyes
-from preprocess.tracking.head.silhouette_fit import fit_outline, outline_overlap, vertex_normals
-from preprocess.tracking.observations import Watched, watch
-from preprocess.tracking.pose.fusion import LandmarkEvidence, settle, trusted_landmarks
-from preprocess.tracking.pose.landmark_nod_bias import NoddingLandmarks, hidden_share
-from preprocess.tracking.pose.outline_cue import OutlineEvidence, Scalp
-from preprocess.tracking.pose.texture_cue import SkinEvidence, face_spots
+from preprocess.tracking.head.personal_head import NECK_UNIT, assemble_head, move_eyes
+from preprocess.tracking.head.silhouette_fit import fit_silhouette, silhouette_overlap, vertex_normals
+from preprocess.tracking.observations import Observations, observe
+from preprocess.tracking.pose.fusion import LandmarkCue, effective_observations, fuse_poses
+from preprocess.tracking.pose.landmark_pitch_bias import PitchBiasedLandmarkCue, underreported_pitch
+from preprocess.tracking.pose.outline_cue import OutlineCue, ScalpSurface
+from preprocess.tracking.pose.texture_cue import TextureCue, skin_patches
 from preprocess.tracking.sequence import TrackedSequence
-from preprocess.tracking.torso.torso import TorsoPivots, neck_motion, torso_poses
+from preprocess.tracking.torso.torso import NeckJoints, neck_motion, torso_poses
 
-BLINK = 0.5
-"""Score from which an eye counts as closed."""
+BLINK_SCORE = 0.5
+"""Blendshape score above which an eye counts as closed."""
 WITHOUT_BUNDLE = (
-    "face_landmarker.task is not to be had: landmarks are those of the mediapipe wheel, without expression scores; "
-    "expression axes come from the clip's own motion alone"
+    "face_landmarker.task is not available: landmarks are from the networks of the mediapipe wheel, without expression "
+    "scores; expression axes are learned from the clip's own motion alone"
 )
 EXPRESSION_CUTOFF, LID_CUTOFF = 6.0, 9.0
 """Fastest motion of expression and jaw, and of the lids, that is kept, Hz."""
@@ -56,31 +56,32 @@ def track(
     """Track a clip.
 
     Args:
-        images: 8-bit RGB frames of one size; each is asked for once, by several threads.
-        masks: 8-bit foreground, 255 = person; each is asked for once, by several threads.
-        fps: Frames a second.
-        options: Uses `models`, `offline`, `tracker` and `head_model`: a FLAME file is fitted instead of a head of the
-            subject's own.
-        center: Principal point, px of the images; None is their centre. A crop's is the centre of the video it is from.
+        images: 8-bit RGB frames of one size; each is read once, by several threads.
+        masks: 8-bit foreground, 255 = person; each is read once, by several threads.
+        fps: Frames per second.
+        options: `models`, `offline`, `tracker` and `head_model` are used; with a `head_model`, that FLAME file is
+            fitted instead of creating a head model of the subject.
+        center: Principal point, px of the images; None is their center. For cropped images pass the center of the
+            video they are cropped from.
 
     Raises:
-        InputError: A model file is missing, or hardly a frame shows a face.
+        InputError: A model file is missing, or too few frames show a face.
     """
     tracker, face = open_networks(options)
 
-    def watched() -> Watched:
-        found = watch(images, masks, fps, tracker)
-        return dataclasses.replace(found, clip=dataclasses.replace(found.clip, center=center))
+    def observed() -> Observations:
+        observations = observe(images, masks, fps, tracker)
+        return dataclasses.replace(observations, clip=dataclasses.replace(observations.clip, center=center))
 
     if options.head_model is not None:
-        return track_flame(watched().clip, face, options.head_model, options.tracker)
-    with ThreadPoolExecutor(1, thread_name_prefix="generic-head") as aside:
-        generic = aside.submit(generic_head, face)
-        return track_landmarks(watched(), face, generic.result(), options)
+        return track_flame(observed().clip, face, options.head_model, options.tracker)
+    with ThreadPoolExecutor(1, thread_name_prefix="generic-head") as executor:
+        generic = executor.submit(generic_head, face)
+        return track_landmarks(observed(), face, generic.result(), options)
 
 
 def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
-    """The landmark networks and the average face: the bundle's, or what stands in where it is not to be had."""
+    """The landmark networks and the average face: from the bundle, or their substitutes where it is not available."""
     found = catalogue.resolve_all("face_landmarker", options.models, options.offline)
     if len(found) == 1:
         return LandmarkTracker(found[0]), canonical_face(found[0])
@@ -88,151 +89,163 @@ def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]
 
 
 def track_landmarks(
-    watched: Watched, face: CanonicalFace, generic: GenericHead, options: PrepOptions
+    observations: Observations, face: CanonicalFace, generic: GenericHead, options: PrepOptions
 ) -> TrackedSequence:
-    """Everything after the pictures have been looked at."""
+    """Track a clip from what has been extracted from its frames; see `observations.observe`."""
     settings = options.tracker
-    found = find_camera(watched.clip, face, settings.focal, settings.smooth)
-    by_landmarks = found.camera.poses
-    skin, nodding = _skin_and_landmarks(watched, face, found)
-    found = _posed(found, settle((skin, nodding), by_landmarks, found.smoothness))
-    fit, sequence = _with_face(watched, face, generic, settings, found, polished=False)
-    outline, landmarks = _outline_and_landmarks(watched, fit, sequence.head, found)
-    poses = settle((outline, landmarks, skin), found.camera.poses, found.smoothness)
-    _, sequence = _with_face(watched, face, generic, settings, _posed(found, poses))
-    distances = (float(np.median(outline.distances(here))) for here in (by_landmarks, poses))
-    told = dict(zip(("by_landmarks", "settled"), (round(value, 2) for value in distances), strict=True))
+    estimate = estimate_camera(observations.clip, face, settings.focal, settings.smooth)
+    landmark_poses = estimate.camera.poses
+    texture, landmarks = _face_cues(observations, face, estimate)
+    estimate = _with_poses(estimate, fuse_poses((texture, landmarks), landmark_poses, estimate.smoothness))
+    fit, sequence = _fit_head(observations, face, generic, settings, estimate, refine=False)
+    outline, fitted_landmarks = _head_cues(observations, fit, sequence.head, estimate)
+    cues = (outline, fitted_landmarks, texture)
+    poses = fuse_poses(cues, estimate.camera.poses, estimate.smoothness)
+    _, sequence = _fit_head(observations, face, generic, settings, _with_poses(estimate, poses))
+    distances = {
+        "by_landmarks": round(float(np.median(outline.rms_distances(landmark_poses))), 2),
+        "settled": round(float(np.median(outline.rms_distances(poses))), 2),
+    }
     report = {
         **sequence.report,
-        "scalp_to_outline_px": told,
-        "nods_hidden_by_landmarks": round(hidden_share(by_landmarks, poses), 3),
+        "scalp_to_outline_px": distances,
+        "nods_hidden_by_landmarks": round(underreported_pitch(landmark_poses, poses), 3),
     }
     return dataclasses.replace(sequence, report=report)
 
 
-def _posed(found: FoundCamera, poses: Poses) -> FoundCamera:
-    """With other poses."""
-    return dataclasses.replace(found, camera=dataclasses.replace(found.camera, poses=poses))
+def _with_poses(estimate: CameraEstimate, poses: RigidPoses) -> CameraEstimate:
+    return dataclasses.replace(estimate, camera=dataclasses.replace(estimate.camera, poses=poses))
 
 
-def _skin_and_landmarks(
-    watched: Watched, face: CanonicalFace, found: FoundCamera
-) -> tuple[SkinEvidence, NoddingLandmarks]:
-    """What decides on poses before the face is learnt, which would explain by expressions what poses leave."""
-    clip, lens = watched.clip, found.camera.lens
-    seen = trusted_landmarks(clip.observations(rigidity(face) * anchoring(face), 1.0), found.width)
-    skin = SkinEvidence(watched.skin, face_spots(face), found.shapes, clip.seen, lens)
-    return skin, NoddingLandmarks(LandmarkEvidence(seen, found.shapes, lens))
+def _face_cues(
+    observations: Observations, face: CanonicalFace, estimate: CameraEstimate
+) -> tuple[TextureCue, PitchBiasedLandmarkCue]:
+    """Pose cues that need no head model.
+
+    They are fused before the face is learned, whose expressions would otherwise explain errors of the poses.
+    """
+    clip, intrinsics = observations.clip, estimate.camera.intrinsics
+    rigid = clip.skin_landmarks(rigidity(face) * surface_stability(face), 1.0)
+    landmarks = LandmarkCue(effective_observations(rigid, estimate.face_width), estimate.shapes, intrinsics)
+    texture = TextureCue(observations.skin, skin_patches(face), estimate.shapes, clip.found, intrinsics)
+    return texture, PitchBiasedLandmarkCue(landmarks)
 
 
-def _with_face(
-    watched: Watched,
+def _fit_head(
+    observations: Observations,
     face: CanonicalFace,
     generic: GenericHead,
     settings: TrackingOptions,
-    found: FoundCamera,
-    polished: bool = True,
+    estimate: CameraEstimate,
+    refine: bool = True,
 ) -> tuple[ClipFit, TrackedSequence]:
-    """Expressions, gaze and torso for given poses, and the head that they move; its outline needs no polish."""
-    fit = learn_face(watched.clip, face, generic, max(0, settings.expressions - len(AXES)), found, polished)
-    fit = _with_gaze_centered(watched, fit, generic)
+    """Expressions, gaze and torso for given poses, and the head model; its outline does not need `refine`."""
+    fit = fit_face(observations.clip, face, generic, max(0, settings.expressions - len(AXES)), estimate, refine)
+    fit = _with_gaze_centered(observations, fit, generic)
     axes = fit.model.axes
     parts = (axes[:, :, : len(AXES)], axes[:, :, len(AXES) : -2], axes[:, :, -2:])
-    head = assemble(generic, fit.shape, *parts)
-    tracking = _tracking(watched, fit, settings.smooth)
-    template = fit_outline(head, generic, tracking, watched.outlines)
-    head = assemble(generic, dataclasses.replace(fit.shape, vertices=template), *parts)
-    report = _report(watched, fit) | {"outline_overlap": round(outline_overlap(head, tracking, watched.outlines), 3)}
-    return fit, TrackedSequence(tracking, head, report)
+    head = assemble_head(generic, fit.shape, *parts)
+    tracking = _tracking(observations, fit, settings.smooth)
+    masks = observations.outline_masks
+    template = fit_silhouette(head, generic, tracking, masks)
+    head = assemble_head(generic, dataclasses.replace(fit.shape, vertices=template), *parts)
+    overlap = round(silhouette_overlap(head, tracking, masks), 3)
+    return fit, TrackedSequence(tracking, head, _report(observations, fit) | {"outline_overlap": overlap})
 
 
-def _outline_and_landmarks(
-    watched: Watched, fit: ClipFit, head: HeadModel, found: FoundCamera
-) -> tuple[OutlineEvidence, LandmarkEvidence]:
-    """What decides on poses once there is a head with an outline; no expression moves its scalp."""
+def _head_cues(
+    observations: Observations, fit: ClipFit, head: HeadModel, estimate: CameraEstimate
+) -> tuple[OutlineCue, LandmarkCue]:
+    """Pose cues that need a head model; no expression moves the scalp that the outline is compared with."""
     shapes = fit.model.shapes(fit.motion.coefficients, fit.motion.jaw)
-    seen = trusted_landmarks(watched.clip.observations(np.ones(shapes.shape[1]), 1.0), found.width)
+    landmarks = observations.clip.skin_landmarks(np.ones(shapes.shape[1]), 1.0)
     template, rows = head.template.numpy().astype(np.float64), head.regions["scalp"].numpy()
-    scalp = Scalp(template[rows], vertex_normals(template, head.faces.numpy())[rows])
-    lens = found.camera.lens
-    return OutlineEvidence(watched.edges, scalp, lens, found.width), LandmarkEvidence(seen, shapes, lens)
+    scalp = ScalpSurface(template[rows], vertex_normals(template, head.faces.numpy())[rows])
+    intrinsics, face_width = estimate.camera.intrinsics, estimate.face_width
+    outline = OutlineCue(observations.outline_distances, scalp, intrinsics, face_width)
+    return outline, LandmarkCue(effective_observations(landmarks, face_width), shapes, intrinsics)
 
 
-def _with_gaze_centered(watched: Watched, fit: ClipFit, generic: GenericHead) -> ClipFit:
-    """Eyeballs moved to where the clip's usual gaze is level and parallel."""
-    eyes = centered_eyes(_turns(watched, fit), fit.camera.poses, fit.shape.eyes, fit.shape.eye_radius)
+def _with_gaze_centered(observations: Observations, fit: ClipFit, generic: GenericHead) -> ClipFit:
+    """The fit with its eyeballs moved to where the clip's median gaze is level and converges at the camera."""
+    rotations = _eye_rotations(observations, fit)
+    eyes = centered_eyeballs(rotations, fit.camera.poses, fit.shape.eyes, fit.shape.eye_radius)
     return dataclasses.replace(fit, shape=move_eyes(fit.shape, generic, eyes))
 
 
-def _turns(watched: Watched, fit: ClipFit) -> np.ndarray:
-    irises = watched.clip.points[:, [LEFT_IRIS[0], RIGHT_IRIS[0]]]
-    return eye_turns(irises, fit.camera.lens, fit.camera.poses, fit.shape.eyes, fit.shape.eye_radius)
+def _eye_rotations(observations: Observations, fit: ClipFit) -> np.ndarray:
+    irises = observations.clip.points[:, [LEFT_IRIS[0], RIGHT_IRIS[0]]]
+    return eye_rotations(irises, fit.camera.intrinsics, fit.camera.poses, fit.shape.eyes, fit.shape.eye_radius)
 
 
-def _tracking(watched: Watched, fit: ClipFit, smoothed: bool) -> Tracking:
-    """Parameters of all frames as arrays of the capture."""
-    clip, camera = watched.clip, fit.camera
-    weights = clip.seen.astype(float)
+def _tracking(observations: Observations, fit: ClipFit, smoothed: bool) -> Tracking:
+    """The fit as the arrays of a capture."""
+    clip, camera = observations.clip, fit.camera
+    weights = clip.found.astype(float)
     count = len(clip.points)
 
-    def steady(values: np.ndarray, cutoff: float) -> np.ndarray:
+    def smooth_below(cutoff: float, values: np.ndarray) -> np.ndarray:
         flat = values.reshape(count, -1)
         return smooth(flat, weights, penalty(cutoff, clip.fps) if smoothed else 0.0).reshape(values.shape)
 
     joints = np.zeros((count, len(JOINT_NAMES), 3))
-    joints[:, JOINT_NAMES.index("jaw"), :2] = steady(fit.motion.jaw, EXPRESSION_CUTOFF)
-    lids = closing(steady(fit.motion.coefficients[:, -2:], LID_CUTOFF), clip.blendshapes)
-    visible = weights * (lids.max(axis=1) < CLOSED)
-    joints[:, 3:5] = conjugate(_turns(watched, fit), visible, clip.fps, smoothed)
-    pivots = TorsoPivots(fit.shape.joints[JOINT_NAMES.index("cervical")], fit.shape.joints[JOINT_NAMES.index("torso")])
-    torso = torso_poses(watched.torso, camera.poses, pivots.lower, camera.lens, clip.fps)
-    neck = neck_motion(torso, camera.poses, pivots)
+    joints[:, JOINT_NAMES.index("jaw"), :2] = smooth_below(EXPRESSION_CUTOFF, fit.motion.jaw)
+    lids = rescaled_blinks(smooth_below(LID_CUTOFF, fit.motion.coefficients[:, -2:]), clip.blendshapes)
+    visible = weights * (lids.max(axis=1) < CLOSED_LID)
+    joints[:, 3:5] = conjugate_gaze(_eye_rotations(observations, fit), visible, clip.fps, smoothed)
+    neck_joints = NeckJoints(
+        fit.shape.joints[JOINT_NAMES.index("cervical")], fit.shape.joints[JOINT_NAMES.index("torso")]
+    )
+    torso = torso_poses(observations.torso, camera.poses, neck_joints.lower, camera.intrinsics, clip.fps)
+    neck = neck_motion(torso, camera.poses, neck_joints)
     joints[:, 5], joints[:, 6] = neck.upper, neck.lower
-    expression = steady(fit.motion.coefficients[:, :-2], EXPRESSION_CUTOFF)
+    expression = smooth_below(EXPRESSION_CUTOFF, fit.motion.coefficients[:, :-2])
     return Tracking(
-        intrinsics=np.tile(camera.lens.matrix(), (count, 1, 1)),
+        intrinsics=np.tile(camera.intrinsics.matrix(), (count, 1, 1)),
         world_to_camera=camera.poses.matrices(),
         expression=np.concatenate((expression, neck.stretch[:, None] / NECK_UNIT), axis=1),
         joint_rotations=joints,
         eyelids=lids,
         translation=np.zeros((count, 3)),
-        landmarks=np.where(clip.seen[:, None, None], clip.points, np.nan),
+        landmarks=np.where(clip.found[:, None, None], clip.points, np.nan),
     )
 
 
-def closing(lids: Float[np.ndarray, "T 2"], blendshapes: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T 2"]:
-    """Lid values stretched so that the clip's blinks close the lids.
+def rescaled_blinks(lids: Float[np.ndarray, "T 2"], blendshapes: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T 2"]:
+    """Lid values scaled so that the clip's blinks close the lids completely.
 
-    The landmark network leaves a gap between closed lids. A clip without a blink is left as it is.
+    The landmark network leaves a gap between closed lids. Lids of a clip without a blink are not scaled.
     """
     blinks = np.stack([score(blendshapes, name) for name in ("eyeBlinkLeft", "eyeBlinkRight")], axis=1)
     highest = np.percentile(lids, 99.5, axis=0)
-    gain = np.where(np.percentile(blinks, 99.5, axis=0) > BLINK, 1 / np.clip(highest, 0.5, 1.0), 1.0)
+    gain = np.where(np.percentile(blinks, 99.5, axis=0) > BLINK_SCORE, 1 / np.clip(highest, 0.5, 1.0), 1.0)
     return np.clip(gain * lids, -0.3, 1.1)
 
 
-def _report(watched: Watched, fit: ClipFit) -> dict[str, Any]:
-    """Numbers that say how well it went."""
-    clip = watched.clip
-    missed = reprojection(clip, fit.camera, fit.model.shapes(fit.motion.coefficients, fit.motion.jaw))[clip.seen]
-    lost = int((~clip.seen).sum())
+def _report(observations: Observations, fit: ClipFit) -> dict[str, Any]:
+    """Measures of quality, notes and warnings."""
+    clip = observations.clip
+    shapes = fit.model.shapes(fit.motion.coefficients, fit.motion.jaw)
+    errors = reprojection_errors(clip, fit.camera, shapes)[clip.found]
+    lost = int((~clip.found).sum())
     scored = bool(clip.blendshapes.any())
-    lacking = [] if scored else [WITHOUT_BUNDLE]
-    carried = f"no face in {lost} of {len(clip.seen)} frames; their pose is carried over from the neighbours"
+    notes = [] if scored else [WITHOUT_BUNDLE]
+    warning = f"no face in {lost} of {len(clip.found)} frames; their poses are taken from neighboring frames"
     return {
         "tracker": "built-in",
         "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {catalogue.WHEEL}",
-        "focal_px": round(fit.camera.lens.focal, 1),
-        "focal_spread": round(fit.focal_spread, 3),
+        "focal_px": round(fit.camera.intrinsics.focal, 1),
+        "focal_spread": round(fit.log_focal_std, 3),
         "distance_m": round(float(np.median(fit.camera.poses.translations[:, 2])), 3),
         "reprojection_px": {
-            "median": round(float(np.median(missed)), 3),
-            "p95": round(float(np.percentile(missed, 95)), 3),
+            "median": round(float(np.median(errors)), 3),
+            "p95": round(float(np.percentile(errors, 95)), 3),
         },
         "expression_energy": {"named": round(fit.energy[0], 4), "with_own": round(fit.energy[1], 4)},
         "jitter": {name: round(value, 4) for name, value in pose_jitter(fit.camera.poses).items()},
         "frames_without_face": lost,
-        "torso_followed": watched.torso.followed,
-        "notes": lacking,
-        "warnings": [*lacking, carried][: len(lacking) + (lost > 0)],
+        "torso_followed": observations.torso.tracked_frames,
+        "notes": notes,
+        "warnings": [*notes, warning] if lost else notes,
     }

@@ -1,12 +1,12 @@
-"""A page in headless Chromium, driven as by a hand: the DevTools protocol as NUL-terminated JSON over two pipes."""
+"""A page in headless Chromium, controlled by the DevTools protocol as NUL-terminated JSON over two pipes (POSIX)."""
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,16 +14,18 @@ from typing import Any
 
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
 READ_END, WRITE_END = 3, 4
-"""File descriptors at which Chromium listens and speaks."""
+"""File descriptors from which Chromium reads and to which it writes."""
 
 
 def chromium() -> str | None:
-    """The browser on the path, if there is one."""
+    """The browser on the path, if there is one; none on Windows, where these pipes do not work."""
+    if sys.platform == "win32":
+        return None
     return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 class Page:
-    """An open page: evaluate an expression, press the mouse, and see what was requested and what went wrong."""
+    """An open page: evaluates expressions, drags the mouse, and records requests and exceptions."""
 
     def __init__(self, out: int, back: int, address: str) -> None:
         self._out, self._back, self._buffer, self._count = out, back, b"", 0
@@ -57,27 +59,29 @@ class Page:
         return json.loads(message)
 
     def value(self, expression: str) -> Any:
-        """What an expression is in the page."""
+        """Value of an expression in the page."""
         return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
     def drag(self, selector: str, start: float, end: float) -> None:
-        """Press the mouse on an element at a share of its width, move it to another, and let go."""
+        """Drag the mouse over an element, from and to a fraction of its width."""
         box = f"JSON.stringify(document.querySelector('{selector}').getBoundingClientRect())"
         self.value(f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}})")
         place = json.loads(self.value(box))
         y = place["y"] + place["height"] / 2
-        for kind, share in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
-            x = place["x"] + place["width"] * share
+        for kind, fraction in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
+            x = place["x"] + place["width"] * fraction
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
 
 
 @contextmanager
 def opened(browser: str, page: Path, profile: Path) -> Iterator[Page]:
-    """A page of the file system in a browser of its own, which ends with the block."""
+    """Open a local page in a separate browser, which ends with the block."""
+    import fcntl  # POSIX only
+
     (child_in, out), (back, child_out) = os.pipe(), os.pipe()
 
     def connect() -> None:
-        # First out of the way: one of the pipes may lie where the other has to go.
+        # Duplicate first: one of the pipes may occupy the descriptor that the other needs.
         ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 20) for end in (child_in, child_out)]
         os.dup2(ends[0], READ_END)
         os.dup2(ends[1], WRITE_END)

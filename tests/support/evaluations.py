@@ -1,13 +1,13 @@
-"""Evaluations with chosen numbers, for tests of tables and gates."""
+"""Evaluations with given values, for tests of tables and gates."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluate.protocols.protocol import Protocol, named
+from evaluate.protocols.protocol import Protocol, protocol_by_name
 from evaluate.protocols.results import Evaluation
 
-PROTOCOL = named("folders").override(metrics=("psnr", "ssim", "lpips_alex"))
+PROTOCOL = protocol_by_name("folders").override(metrics=("psnr", "ssim", "lpips_alex"))
 
 
 def evaluation(

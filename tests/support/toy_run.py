@@ -1,4 +1,4 @@
-"""A tiny person for tests of pictures: a capture of a few small frames and a run whose avatar is two Gaussians."""
+"""A toy run for tests of rendering and scoring: a capture of a few small frames and an avatar of two Gaussians."""
 
 from __future__ import annotations
 
@@ -50,32 +50,32 @@ class ToyAvatar(nn.Module):
         self.colors = nn.Parameter(torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]]))
 
     def gaussians(self, drive: Drive) -> Gaussians:
-        """Two balls of 3 cm at the first and the third vertex."""
+        """Two spheres of 3 cm at the first and the third vertex."""
         means = self.head.vertices(drive)[[0, 2]]
         quats = torch.tensor([[1.0, 0, 0, 0]]).expand(2, 4)
         return Gaussians(means, quats, torch.full((2, 3), 0.03), torch.full((2,), 0.9), self.colors)
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
-        """Not needed for drawing."""
+        """Not needed for rendering."""
         return {}
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """Not needed for drawing."""
+        """Not needed for rendering."""
         return []
 
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Not needed for drawing."""
+        """Not needed for rendering."""
 
 
 def camera() -> Camera:
-    """One metre in front of the head, which is a third of the picture wide."""
+    """A camera one meter in front of the head, which covers a third of the image width."""
     intrinsics = torch.tensor([[50.0, 0, WIDTH / 2], [0, 50.0, HEIGHT / 2], [0, 0, 1]])
     view = look_at(torch.tensor([0.0, 0.0, 1.0]), torch.zeros(3), torch.tensor([0.0, 1.0, 0.0]))
     return Camera(intrinsics, view, WIDTH, HEIGHT)
 
 
 def tracking(seed: int = 0, count: int = COUNT) -> Tracking:
-    """A performance that starts at rest."""
+    """A tracking that starts at the neutral frame."""
     random = np.random.default_rng(seed)
     phase = np.linspace(0, 3, count)[:, None]
     expression = np.sin(phase * random.uniform(0.5, 1.5, (1, 3)))
@@ -93,7 +93,7 @@ def tracking(seed: int = 0, count: int = COUNT) -> Tracking:
 
 
 def write_capture(folder: Path, seed: int = 0, version: str = "toy-1") -> Capture:
-    """A capture whose frames 10, 11, … show noise under a mask that is soft in the middle column."""
+    """A capture whose frames 10, 11, … show noise, with a mask that is soft in the middle column."""
     random = np.random.default_rng(seed)
     frames = tuple(range(10, 10 + COUNT))
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -107,8 +107,8 @@ def write_capture(folder: Path, seed: int = 0, version: str = "toy-1") -> Captur
         splits={"every-20th": Split(frames[1:-1], (frames[0], frames[-1]))},
         tracking=tracking(seed), head_version=version,
     )  # fmt: skip
-    pictures = ((random.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8), mask) for _ in frames)
-    capture.write(pictures, arrays)
+    images = ((random.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8), mask) for _ in frames)
+    capture.write(images, arrays)
     return Capture.open(folder)
 
 

@@ -1,1 +1,1 @@
-"""Projection, rigid motion, smoothing and the landmark model."""
+"""Projection, rigid poses, smoothing and the landmark model."""

@@ -1,4 +1,4 @@
-"""Values of many small maps between their pixels."""
+"""Bilinear interpolation in stacks of 8-bit maps, with derivatives."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from jaxtyping import Bool, Float, Int, Int8
 
 
 def bilinear(
-    maps: Int8[np.ndarray, "T H W"], frames: Int[np.ndarray, " K"], places: Float[np.ndarray, "K P 2"]
+    maps: Int8[np.ndarray, "T H W"], frames: Int[np.ndarray, " K"], positions: Float[np.ndarray, "K P 2"]
 ) -> tuple[Float[np.ndarray, "K P"], Float[np.ndarray, "K P 2"], Bool[np.ndarray, "K P"]]:
-    """Values, their slopes per pixel of the map, and whether the place lies between pixels; outside is extended.
+    """Interpolated values and their derivatives by position.
 
     Args:
-        maps: One a frame.
+        maps: One per frame.
         frames: Which maps are read.
-        places: x and y in px of the maps, pixel centres at +0.5.
+        positions: x and y in px of the maps, pixel centers at +0.5.
+
+    Returns:
+        Values, extrapolated outside of the map; their derivatives by x and y, per px of the map; and whether the
+        position lies between pixel centers.
     """
     height, width = maps.shape[1:]
-    centered = places - 0.5
+    centered = positions - 0.5
     corner = np.floor(centered).astype(int)
     within = np.all((corner >= 0) & (corner < [width - 1, height - 1]), axis=-1)
     x, y = np.clip(corner[..., 0], 0, width - 2), np.clip(corner[..., 1], 0, height - 2)

@@ -1,4 +1,4 @@
-"""What the 478 landmarks are: index sets of MediaPipe's face mesh, and how far expressions move each of its points."""
+"""Index sets of MediaPipe's 478 landmarks, and weights that say which of them are rigid and stable on the skin."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ggavatar.landmarks.bundle import CanonicalFace
 
 MESH_POINTS = 468
-"""Landmarks on the skin; those after them lie on the irises."""
+"""Number of landmarks on the skin; those after them lie on the irises."""
 
 
 def _indices(text: str) -> np.ndarray:
@@ -29,26 +29,28 @@ EYE_CORNERS = _indices("33 133 362 263")
 RIGHT_IRIS, LEFT_IRIS = _indices("468 469 470 471 472"), _indices("473 474 475 476 477")
 
 NOSE_BASE_HEIGHT = -0.012
+"""Height of the nose's base in the canonical face, m; landmarks below it move with mouth and jaw."""
 
 
 def lids() -> np.ndarray:
-    """All landmarks of the four lid margins."""
+    """Indices of all landmarks of the four lid margins."""
     return np.unique(np.concatenate((RIGHT_UPPER_LID, RIGHT_LOWER_LID, LEFT_UPPER_LID, LEFT_LOWER_LID)))
 
 
-def anchoring(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
-    """Trust in each landmark to stay on its spot of the skin: 1 within 5 cm of the face's middle, 0.1 at its edge.
+def surface_stability(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
+    """Weight of each landmark by how well it stays on its point of the skin: 1 in the face's middle, 0.1 at its edge.
 
-    The network puts landmarks of the edge where the cheek turns away from the camera: they slide when the head nods,
-    and hide a quarter of the nod (docs/experiments/2026-11-22-preparation-round-2.md).
+    It falls from 5 to 6.5 cm off the midline. The network puts the outermost landmarks where the cheek turns away from
+    the camera: they slide when the head nods, which hides a quarter of the pitch
+    (docs/experiments/2026-11-22-preparation-round-2.md).
     """
     return 1 - 0.9 * np.clip((np.abs(face.vertices[:, 0]) - 0.05) / 0.015, 0.0, 1.0)
 
 
 def rigidity(face: CanonicalFace) -> Float[np.ndarray, " 468"]:
-    """Trust in each landmark as a point fixed to the skull: 1 on forehead, nose and temples, 0.05 on mouth and jaw."""
-    trust = np.where(face.vertices[:, 1] > NOSE_BASE_HEIGHT, 1.0, 0.05)
-    trust[lids()] = 0.3
-    trust[BROWS] = 0.2
-    trust[EYE_CORNERS] = 1.0
-    return trust
+    """Weight of each landmark as a point fixed to the skull: 1 on forehead, nose and temples, 0.05 on mouth and jaw."""
+    weights = np.where(face.vertices[:, 1] > NOSE_BASE_HEIGHT, 1.0, 0.05)
+    weights[lids()] = 0.3
+    weights[BROWS] = 0.2
+    weights[EYE_CORNERS] = 1.0
+    return weights

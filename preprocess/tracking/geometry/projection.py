@@ -1,4 +1,9 @@
-"""The tracked head as pixels: posed vertices, their projection and the silhouette they fill."""
+"""The tracked head in the image: posed vertices, their projection and the silhouette they fill.
+
+`project` returns depths beside the pixels and guards against points in the camera's plane, which
+`ggavatar.geometry.transforms.project` (torch) does not; `rigid.project_to_pixels` takes camera-space points of many
+frames and divides in another order, so that results would differ in the last bits.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +20,12 @@ from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 
 _SUBPIXEL_BITS = 4
-LARGE = 24
+LARGE_TRIANGLE = 24
+"""Triangles sampled more finely than this along an edge are filled one by one, not by samples."""
 
 
 def drive_of(tracking: Tracking, row: int) -> Drive:
-    """The drive of one row of a tracking."""
+    """The drive in one row of a tracking."""
 
     def tensor(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
@@ -35,7 +41,7 @@ def drive_of(tracking: Tracking, row: int) -> Drive:
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """A head is too small to share among torch's threads, which would wait for each other on a busy machine."""
+    """Limit torch to one thread: a head model is too small to gain from more, which wait for each other under load."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -53,11 +59,11 @@ def posed_vertices(head: HeadModel, tracking: Tracking, row: int) -> Float[np.nd
 def project(
     points: Float[np.ndarray, "N 3"], intrinsics: Float[np.ndarray, "3 3"], world_to_camera: Float[np.ndarray, "4 4"]
 ) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"]]:
-    """Pixel positions and camera depths (m) of world points; points behind the camera get meaningless pixels."""
-    seen = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
-    depth = seen[:, 2]
-    image = seen @ intrinsics.T
-    return image[:, :2] / np.where(np.abs(depth) > 1e-6, depth, 1e-6)[:, None], depth
+    """Pixel positions and camera depths (m) of world points; pixels of points behind the camera are meaningless."""
+    in_camera = points @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
+    depth = in_camera[:, 2]
+    homogeneous = in_camera @ intrinsics.T
+    return homogeneous[:, :2] / np.where(np.abs(depth) > 1e-6, depth, 1e-6)[:, None], depth
 
 
 def silhouette(
@@ -70,12 +76,12 @@ def silhouette(
 
     Args:
         pixels: Projected vertices, px.
-        depth: Their camera depths; faces that reach behind the camera are left out.
+        depth: Camera depths of the vertices, m; faces that reach behind the camera are left out.
         faces: Vertex indices.
-        size: Width and height of the picture, px.
+        size: Width and height of the image, px.
     """
     width, height = size
-    picture = np.zeros((height, width), np.uint8)
+    image = np.zeros((height, width), np.uint8)
     corners = pixels[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
     kept = (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < 4 * max(width, height)).all(axis=(1, 2))
@@ -84,27 +90,27 @@ def silhouette(
     samples = np.ceil(1.5 * (high - low)[kept].max(axis=1, initial=0)).astype(int).clip(1)
     for count in np.unique(samples).tolist():
         group = corners[samples == count]
-        if count > LARGE:
-            _fill(picture, group)
+        if count > LARGE_TRIANGLE:
+            _fill(image, group)
         else:
-            _sample(picture, group, count)
-    return picture > 0
+            _sample(image, group, count)
+    return image > 0
 
 
-def _fill(picture: np.ndarray, corners: Float[np.ndarray, "F 3 2"]) -> None:
-    """Fill triangles one by one. OpenCV counts from pixel centres, we count from the image's corner."""
+def _fill(image: np.ndarray, corners: Float[np.ndarray, "F 3 2"]) -> None:
+    """Fill triangles one by one; OpenCV's pixel centers are at 0, ours at +0.5."""
     for triangle in np.round((corners - 0.5) * (1 << _SUBPIXEL_BITS)).astype(np.int32):
-        cv2.fillConvexPoly(picture, triangle, 255, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+        cv2.fillConvexPoly(image, triangle, 255, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
 
 
-def _sample(picture: np.ndarray, corners: Float[np.ndarray, "F 3 2"], count: int) -> None:
-    """Fill small triangles all at once, by points less than a pixel apart."""
+def _sample(image: np.ndarray, corners: Float[np.ndarray, "F 3 2"], count: int) -> None:
+    """Fill small triangles all at once, by samples less than a pixel apart."""
     first, second = (axis.ravel() for axis in np.meshgrid(np.arange(count + 1), np.arange(count + 1)))
     inside = first + second <= count
     weights = np.stack((first, second, count - first - second))[:, inside].astype(np.float32) / np.float32(count)
     across, down = np.floor(corners.transpose(2, 0, 1).astype(np.float32) @ weights).astype(np.int32)
-    within = (across >= 0) & (across < picture.shape[1]) & (down >= 0) & (down < picture.shape[0])
-    picture[down[within], across[within]] = 255
+    within = (across >= 0) & (across < image.shape[1]) & (down >= 0) & (down < image.shape[0])
+    image[down[within], across[within]] = 255
 
 
 def overlap(left: Bool[np.ndarray, "H W"], right: Bool[np.ndarray, "H W"]) -> float:

@@ -1,7 +1,4 @@
-"""Rigid head poses from landmarks of a known, possibly moving shape: start, robust refinement.
-
-Smoothing over time. Plain numpy.
-"""
+"""Rigid head poses from landmarks of a known, possibly deforming shape: PnP, robust refinement, smoothing."""
 
 from __future__ import annotations
 
@@ -9,17 +6,22 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
-POSE = 6
+from ggavatar.geometry.transforms import skew
+
+POSE_SIZE = 6
+"""Degrees of freedom of a pose: a small rotation about the camera's axes (rad), then a translation (m)."""
 CHUNK = 256
+"""Frames that are processed at a time, to bound memory."""
 
 
 @dataclass(frozen=True)
-class Lens:
-    """A pinhole camera without distortion and with square pixels.
+class PinholeIntrinsics:
+    """Intrinsics of a pinhole camera with square pixels and no distortion.
 
     Attributes:
         focal: Focal length, px.
@@ -30,33 +32,33 @@ class Lens:
     center: tuple[float, float]
 
     def matrix(self) -> Float[np.ndarray, "3 3"]:
-        """Intrinsics, px."""
+        """As a 3 × 3 matrix, px."""
         return np.array([[self.focal, 0, self.center[0]], [0, self.focal, self.center[1]], [0, 0, 1.0]])
 
 
 @dataclass(frozen=True)
-class Poses:
+class RigidPoses:
     """Rigid head-to-camera transforms: x ↦ rotation x + translation.
 
     Attributes:
         rotations: Head axes in camera axes.
-        translations: Head origin in the camera, m.
+        translations: Head origin in camera space, m.
     """
 
     rotations: Float[np.ndarray, "T 3 3"]
     translations: Float[np.ndarray, "T 3"]
 
-    def __getitem__(self, frames: slice | np.ndarray) -> Poses:
-        return Poses(self.rotations[frames], self.translations[frames])
+    def __getitem__(self, frames: slice | np.ndarray) -> RigidPoses:
+        return RigidPoses(self.rotations[frames], self.translations[frames])
 
     def to_camera(self, points: Float[np.ndarray, "#T N 3"]) -> Float[np.ndarray, "T N 3"]:
-        """Head-space points in camera metres."""
+        """Head-space points in camera space, m."""
         return points @ self.rotations.transpose(0, 2, 1) + self.translations[:, None]
 
-    def moved(self, steps: Float[np.ndarray, "T 6"]) -> Poses:
-        """Turned by small rotations in camera axes (rad) and shifted (m)."""
-        turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
-        return Poses(turns @ self.rotations, self.translations + steps[:, 3:])
+    def moved(self, steps: Float[np.ndarray, "T 6"]) -> RigidPoses:
+        """Rotated by small angles about the camera's axes (rad) and translated (m)."""
+        rotations = Rotation.from_rotvec(steps[:, :3]).as_matrix()
+        return RigidPoses(rotations @ self.rotations, self.translations + steps[:, 3:])
 
     def matrices(self) -> Float[np.ndarray, "T 4 4"]:
         """As rigid 4 × 4 matrices."""
@@ -67,87 +69,86 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Observations:
-    """Landmarks of a clip.
+class LandmarkObservations:
+    """Landmarks of a clip with their variances.
 
     Attributes:
-        points: Image positions, px; finite even where nothing was seen.
-        weights: Inverse variance of each point, 1/px²; zero where nothing was seen.
+        points: Image positions, px; finite even where no face was found.
+        weights: Inverse variance of each point, 1/px²; zero where no face was found.
     """
 
     points: Float[np.ndarray, "T N 2"]
     weights: Float[np.ndarray, "T N"]
 
-    def __getitem__(self, frames: slice | np.ndarray) -> Observations:
-        return Observations(self.points[frames], self.weights[frames])
+    def __getitem__(self, frames: slice | np.ndarray) -> LandmarkObservations:
+        return LandmarkObservations(self.points[frames], self.weights[frames])
 
 
-def project(seen: Float[np.ndarray, "T N 3"], lens: Lens) -> Float[np.ndarray, "T N 2"]:
+def project_to_pixels(points: Float[np.ndarray, "T N 3"], intrinsics: PinholeIntrinsics) -> Float[np.ndarray, "T N 2"]:
     """Image positions of camera-space points, px."""
-    return lens.focal * seen[..., :2] / seen[..., 2:] + np.asarray(lens.center)
+    return intrinsics.focal * points[..., :2] / points[..., 2:] + np.asarray(intrinsics.center)
 
 
-def projection_slopes(seen: Float[np.ndarray, "T N 3"], focal: float) -> Float[np.ndarray, "T N 2 3"]:
-    """Derivative of the image position by the camera-space point, px/m."""
-    slopes = np.zeros((*seen.shape[:2], 2, 3))
-    inverse = focal / seen[..., 2]
-    slopes[..., 0, 0] = slopes[..., 1, 1] = inverse
-    slopes[..., :, 2] = -inverse[..., None] * seen[..., :2] / seen[..., 2:]
-    return slopes
+def projection_jacobian(points: Float[np.ndarray, "T N 3"], focal: float) -> Float[np.ndarray, "T N 2 3"]:
+    """Derivative of the image position with respect to the camera-space point, px/m."""
+    jacobian = np.zeros((*points.shape[:2], 2, 3))
+    inverse = focal / points[..., 2]
+    jacobian[..., 0, 0] = jacobian[..., 1, 1] = inverse
+    jacobian[..., :, 2] = -inverse[..., None] * points[..., :2] / points[..., 2:]
+    return jacobian
 
 
-def cross_matrices(vectors: Float[np.ndarray, "*B 3"]) -> Float[np.ndarray, "*B 3 3"]:
-    """Matrices that multiply like the cross product with `vectors`."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=-1).reshape(*vectors.shape, 3)
-
-
-def pose_slopes(
-    seen: Float[np.ndarray, "T N 3"], poses: Poses, slopes: Float[np.ndarray, "T N 2 3"]
+def pose_jacobian(
+    points: Float[np.ndarray, "T N 3"], poses: RigidPoses, by_point: Float[np.ndarray, "T N 2 3"]
 ) -> Float[np.ndarray, "T N 2 6"]:
-    """Derivative of the image position by the steps of `Poses.moved`."""
-    arms = seen - poses.translations[:, None]
-    return np.concatenate((-slopes @ cross_matrices(arms), slopes), axis=-1)
+    """Derivative of the image position with respect to the steps of `RigidPoses.moved`.
+
+    Args:
+        points: In camera space, m.
+        poses: Of the head.
+        by_point: `projection_jacobian` of the points.
+    """
+    arms = torch.from_numpy(points - poses.translations[:, None])
+    return np.concatenate((-by_point @ skew(arms).numpy(), by_point), axis=-1)
 
 
 def robust_weights(
     residuals: Float[np.ndarray, "T N K"], weights: Float[np.ndarray, "T N"], scale: float
 ) -> Float[np.ndarray, "T N"]:
-    """Weights times the Geman–McClure factor: a point off by `scale` standard deviations counts a quarter.
-
-    Far ones hardly at all.
+    """Weights times the Geman–McClure factor, which is 1/4 at `scale` standard deviations and falls to zero beyond.
 
     Args:
-        residuals: Observed minus predicted: K numbers, such as px in both directions.
-        weights: Inverse variances of each.
+        residuals: Observed minus predicted: K components, such as px in x and y.
+        weights: Inverse variance of each component.
         scale: In standard deviations.
     """
     squared = (residuals**2).sum(axis=-1) * weights / scale**2
     return weights / (1 + squared) ** 2
 
 
-def initial_poses(observed: Observations, shape: Float[np.ndarray, "N 3"], lens: Lens) -> Poses:
-    """Perspective-n-point of every frame on the more trusted half of the landmarks.
+def initial_poses(
+    observed: LandmarkObservations, shape: Float[np.ndarray, "N 3"], intrinsics: PinholeIntrinsics
+) -> RigidPoses:
+    """Perspective-n-point of every frame on the half of the landmarks with the largest weights.
 
-    Frames without any repeat their neighbour.
+    Frames without landmarks copy the nearest frame that has them.
     """
-    trusted = observed.weights.max(axis=0)
-    rows = np.flatnonzero(trusted >= np.median(trusted))
+    largest = observed.weights.max(axis=0)
+    rows = np.flatnonzero(largest >= np.median(largest))
     rotations, translations = np.tile(np.eye(3), (len(observed.points), 1, 1)), np.zeros((len(observed.points), 3))
-    seen = observed.weights.max(axis=1) > 0
-    for index in np.flatnonzero(seen):
-        good, turn, shift = cv2.solvePnP(
-            shape[rows], observed.points[index, rows], lens.matrix(), None, flags=cv2.SOLVEPNP_SQPNP
+    found = observed.weights.max(axis=1) > 0
+    for index in np.flatnonzero(found):
+        success, rotation, translation = cv2.solvePnP(
+            shape[rows], observed.points[index, rows], intrinsics.matrix(), None, flags=cv2.SOLVEPNP_SQPNP
         )
-        seen[index] = good and shift[2, 0] > 0
-        rotations[index], translations[index] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    nearest = nearest_true(seen)
-    return Poses(rotations[nearest], translations[nearest])
+        found[index] = success and translation[2, 0] > 0
+        rotations[index], translations[index] = cv2.Rodrigues(rotation)[0], translation[:, 0]
+    nearest = nearest_true_index(found)
+    return RigidPoses(rotations[nearest], translations[nearest])
 
 
-def nearest_true(flags: np.ndarray) -> np.ndarray:
-    """For every position the index of the nearest true one."""
+def nearest_true_index(flags: np.ndarray) -> np.ndarray:
+    """For every position the index of the nearest true flag; the earlier one of two at the same distance."""
     positions, true = np.arange(len(flags)), np.flatnonzero(flags)
     after = np.clip(np.searchsorted(true, positions), 0, len(true) - 1)
     before = np.maximum(after - 1, 0)
@@ -155,33 +156,32 @@ def nearest_true(flags: np.ndarray) -> np.ndarray:
     return np.where(closer, true[before], true[after])
 
 
-def spread_evenly(count: int, most: int) -> Int[np.ndarray, " K"]:
-    """At most so many of `count` positions, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, most).round().astype(np.int64))
+def evenly_spaced(count: int, maximum: int) -> Int[np.ndarray, " K"]:
+    """At most `maximum` of `count` positions, evenly spaced, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, maximum).round().astype(np.int64))
 
 
 def refine_poses(
-    observed: Observations,
+    observed: LandmarkObservations,
     shape: Float[np.ndarray, "*#T N 3"],
-    lens: Lens,
-    poses: Poses,
+    intrinsics: PinholeIntrinsics,
+    poses: RigidPoses,
     smoothness: float = 0.0,
     iterations: int = 8,
-) -> Poses:
-    """Gauss–Newton on all frames at once, robust to outliers.
+) -> RigidPoses:
+    """Poses by Gauss–Newton on all frames at once, robust to outliers.
 
     Args:
         observed: Landmarks.
-        shape: Head-space landmark positions, m; one set, or one a frame.
-        lens: Camera.
-        poses: Where to start.
+        shape: Head-space landmark positions, m; one set, or one per frame.
+        intrinsics: Of the camera.
+        poses: Initial poses.
         smoothness: Penalty on the pose's second differences relative to a typical frame's information; see
-            `smoothing.penalty`. The solution is that of all frames together, so it is not delayed (as a filter over
-            past frames would be).
-        iterations: At most this many.
+            `smoothing.penalty`. All frames are solved together, so there is no lag (as of a causal filter).
+        iterations: Maximum number of Gauss–Newton steps.
     """
     for _ in range(iterations):
-        steps = smooth_steps(*pose_information(observed, shape, lens, poses), poses, smoothness)
+        steps = smooth_steps(*pose_information(observed, shape, intrinsics, poses), poses, smoothness)
         poses = poses.moved(steps)
         if np.abs(steps).max() < 1e-5:
             break
@@ -189,48 +189,47 @@ def refine_poses(
 
 
 def pose_information(
-    observed: Observations, shape: np.ndarray, lens: Lens, poses: Poses
+    observed: LandmarkObservations, shape: np.ndarray, intrinsics: PinholeIntrinsics, poses: RigidPoses
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Information matrix and gradient of every frame's pose, a part of the clip at a time to bound memory."""
+    """Information matrix and gradient of every frame's pose from its landmarks."""
     count, shapes = len(observed.points), shape.reshape(-1, *shape.shape[-2:])
-    information, gradient = np.zeros((count, POSE, POSE)), np.zeros((count, POSE))
+    information, gradient = np.zeros((count, POSE_SIZE, POSE_SIZE)), np.zeros((count, POSE_SIZE))
     for first in range(0, count, CHUNK):
-        chosen = slice(first, first + CHUNK)
-        here = poses[chosen]
-        seen = here.to_camera(shapes[chosen] if len(shapes) > 1 else shapes)
-        residuals = observed.points[chosen] - project(seen, lens)
-        weights = robust_weights(residuals, observed.weights[chosen], 3.0)
-        jacobian = pose_slopes(seen, here, projection_slopes(seen, lens.focal))
+        frames = slice(first, first + CHUNK)
+        points = poses[frames].to_camera(shapes[frames] if len(shapes) > 1 else shapes)
+        residuals = observed.points[frames] - project_to_pixels(points, intrinsics)
+        weights = robust_weights(residuals, observed.weights[frames], 3.0)
+        jacobian = pose_jacobian(points, poses[frames], projection_jacobian(points, intrinsics.focal))
         weighted = jacobian * weights[..., None, None]
-        rows, weighted_rows = (part.reshape(len(seen), -1, POSE) for part in (jacobian, weighted))
-        information[chosen] = weighted_rows.transpose(0, 2, 1) @ rows
-        gradient[chosen] = np.einsum("tra,tr->ta", weighted_rows, residuals.reshape(len(seen), -1))
+        rows, weighted_rows = (part.reshape(len(points), -1, POSE_SIZE) for part in (jacobian, weighted))
+        information[frames] = weighted_rows.transpose(0, 2, 1) @ rows
+        gradient[frames] = np.einsum("tra,tr->ta", weighted_rows, residuals.reshape(len(points), -1))
     return information, gradient
 
 
-def smooth_steps(information: np.ndarray, gradient: np.ndarray, poses: Poses, smoothness: float) -> np.ndarray:
-    """Solve for the steps of all frames, with second differences of the moved poses penalised (a banded system)."""
+def smooth_steps(information: np.ndarray, gradient: np.ndarray, poses: RigidPoses, smoothness: float) -> np.ndarray:
+    """Gauss–Newton steps of all frames, with second differences of the moved poses penalized (a banded system)."""
     count = len(information)
     typical = _definite(np.median(information, axis=0))
-    damping = 1e-6 * np.diag(np.diag(typical)) + 1e-12 * np.eye(POSE)
+    damping = 1e-6 * np.diag(np.diag(typical)) + 1e-12 * np.eye(POSE_SIZE)
     if smoothness == 0 or count < 3:
         return np.linalg.solve(information + damping, gradient[..., None])[..., 0]
     metric = smoothness * typical
     gradient = gradient - (_stencil_transpose(_accelerations(poses)) @ metric.T)
-    return solve_smooth(information + damping, gradient, metric)
+    return solve_smoothed(information + damping, gradient, metric)
 
 
 def _definite(matrix: Float[np.ndarray, "N N"]) -> Float[np.ndarray, "N N"]:
-    """The nearest matrix that can be a metric: a median taken entry by entry need not be positive definite."""
+    """A nearby positive definite matrix: an entrywise median of information matrices may be indefinite."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     return (vectors * np.maximum(values, 1e-6)) @ vectors.T * np.outer(scale, scale)
 
 
-def solve_smooth(
+def solve_smoothed(
     information: Float[np.ndarray, "T N N"], gradient: Float[np.ndarray, "T N"], metric: Float[np.ndarray, "N N"]
 ) -> Float[np.ndarray, "T N"]:
-    """Least squares over all frames with second differences penalised by `metric` (a banded system)."""
+    """Least squares over all frames with second differences penalized by `metric` (a banded system)."""
     count, width = gradient.shape
     stencil = second_difference_stencil(count)
     bands = np.zeros((3 * width, count * width))
@@ -241,7 +240,7 @@ def solve_smooth(
 
 
 def _add_blocks(bands: np.ndarray, blocks: np.ndarray, offset: int) -> None:
-    """Put blocks (t + offset, t) of a symmetric matrix into lower banded storage."""
+    """Add blocks (t + offset, t) of a symmetric matrix to lower banded storage."""
     count, width = len(blocks), blocks.shape[-1]
     for row in range(width):
         for column in range(width):
@@ -262,10 +261,10 @@ def second_difference_stencil(count: int) -> Float[np.ndarray, "3 count"]:
     return stencil
 
 
-def _accelerations(poses: Poses) -> np.ndarray:
-    """Second differences of the poses, in rotation vectors (rad) and metres, one fewer at either end."""
-    turns = Rotation.from_matrix(poses.rotations[1:] @ poses.rotations[:-1].transpose(0, 2, 1)).as_rotvec()
-    velocities = np.concatenate((turns, np.diff(poses.translations, axis=0)), axis=1)
+def _accelerations(poses: RigidPoses) -> np.ndarray:
+    """Second differences of the poses, in rotation vectors (rad) and meters; the first and last frame have none."""
+    rotations = Rotation.from_matrix(poses.rotations[1:] @ poses.rotations[:-1].transpose(0, 2, 1)).as_rotvec()
+    velocities = np.concatenate((rotations, np.diff(poses.translations, axis=0)), axis=1)
     return np.diff(velocities, axis=0)
 
 

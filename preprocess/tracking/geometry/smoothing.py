@@ -1,4 +1,4 @@
-"""Smoothing without lag, and numbers that say how much a track trembles."""
+"""Smoothing without lag (Whittaker), and measures of jitter."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from jaxtyping import Float
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
-from preprocess.tracking.geometry.rigid import Poses, second_difference_stencil
+from preprocess.tracking.geometry.rigid import RigidPoses, second_difference_stencil
 
 
 def penalty(cutoff: float, fps: float) -> float:
-    """Weight of squared second differences that halves a motion of `cutoff` Hz (Whittaker's smoother.
+    """Penalty on squared second differences with which Whittaker's smoother halves a motion of `cutoff` Hz.
 
-    At most a third of the frame rate).
+    The cutoff is limited to a third of the frame rate.
     """
     angle = np.pi * min(cutoff, fps / 3) / fps
     return float((2 * np.sin(angle)) ** -4)
@@ -22,11 +22,9 @@ def penalty(cutoff: float, fps: float) -> float:
 def smooth(
     values: Float[np.ndarray, "T C"], weights: Float[np.ndarray, " T"], strength: float
 ) -> Float[np.ndarray, "T C"]:
-    """Whittaker's smoother: closest to `values` in weighted least squares.
+    """Whittaker's smoother: weighted least squares with squared second differences penalized by `strength`.
 
-    With second differences penalised by `strength`.
-
-    Frames of weight zero are filled by the smoothest continuation. Symmetric in time, hence without lag.
+    Frames of weight zero are filled by the smoothest continuation. The smoother is symmetric in time, so it has no lag.
     """
     if len(values) < 3 or strength <= 0:
         return values.copy()
@@ -36,10 +34,7 @@ def smooth(
 
 
 def jitter(values: Float[np.ndarray, "T C"]) -> float:
-    """Root mean square of the fourth differences over √70, robust.
-
-    The standard deviation of white noise with that much tremble.
-    """
+    """Standard deviation of the white noise in a track: a robust estimate from fourth differences over √70."""
     if len(values) < 5:
         return 0.0
     differences = np.diff(values, n=4, axis=0) / np.sqrt(70.0)
@@ -48,14 +43,14 @@ def jitter(values: Float[np.ndarray, "T C"]) -> float:
     )
 
 
-def pose_jitter(poses: Poses) -> dict[str, float]:
-    """Tremble of a head pose: rotation in degrees, translation across and along the view in millimetres."""
+def pose_jitter(poses: RigidPoses) -> dict[str, float]:
+    """Jitter of head poses: rotation in degrees, translation across and along the viewing direction in millimeters."""
     rotations = Rotation.from_matrix(poses.rotations)
     middle = rotations[len(rotations) // 2].inv()
     degrees = np.degrees((middle * rotations).as_rotvec())
-    millimetres = poses.translations * 1000
+    millimeters = poses.translations * 1000
     return {
         "rotation_deg": jitter(degrees),
-        "across_mm": jitter(millimetres[:, :2]),
-        "along_mm": jitter(millimetres[:, 2:]),
+        "across_mm": jitter(millimeters[:, :2]),
+        "along_mm": jitter(millimeters[:, 2:]),
     }

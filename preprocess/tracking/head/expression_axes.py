@@ -1,4 +1,4 @@
-"""The axes of a tracked head's expression: named ones, the same for every subject, and a few of the subject's own."""
+"""The expression axes of a tracked head that have names and are the same for every subject."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
 
 JOINT_SCORES = ("neutral", "jawForward", "jawLeft", "jawOpen", "jawRight", "eyeBlinkLeft", "eyeBlinkRight")
-"""Scores that joints and lids stand for; gaze scores (eyeLook…) are left out likewise."""
+"""Scores that joints and lids represent instead of axes, as do gaze scores (eyeLook…)."""
 
 AXES = tuple(name for name in NAMES if name not in JOINT_SCORES and not name.startswith("eyeLook"))
 """Named expression coefficients in order; one unit is the full expression of the blendshape of that name."""
 
-# What the procedural head's own expressions say about each axis: name and amount. Sides follow the axis.
-_GENERIC = {
+# The procedural head's expressions that make up each axis: name and amount. Sides follow the axis.
+_GENERIC_EXPRESSIONS = {
     "browDown": (("brow_down", 1.0),),
     "browInnerUp": (("brow_inner_up", 1.0),),
     "browOuterUp": (("brow_outer_up", 1.0),),
@@ -42,7 +42,7 @@ _GENERIC = {
 
 
 def axis_scores(blendshapes: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T A"]:
-    """The columns of the scores that are axes."""
+    """The scores that belong to `AXES`."""
     return blendshapes[:, [NAMES.index(name) for name in AXES]]
 
 
@@ -52,22 +52,21 @@ def score(blendshapes: Float[np.ndarray, "T 52"], name: str) -> Float[np.ndarray
 
 
 def generic_mixture() -> Float[np.ndarray, "G A"]:
-    """How much of each of the procedural head's expressions makes up each axis."""
+    """Amount of each of the procedural head's expressions in each of `AXES`."""
     names, _ = procedural_names()
     mixture = np.zeros((len(names), len(AXES)))
     for column, axis in enumerate(AXES):
         stem, side = _split(axis)
-        for generic, amount in _GENERIC.get(stem, ()):
-            known = [
-                name for name in (f"{generic}_{side}", f"{generic}_left", f"{generic}_right", generic) if name in names
-            ]
-            chosen = known[:1] if side or generic in names else known
+        for generic, amount in _GENERIC_EXPRESSIONS.get(stem, ()):
+            candidates = (f"{generic}_{side}", f"{generic}_left", f"{generic}_right", generic)
+            existing = [name for name in candidates if name in names]
+            chosen = existing[:1] if side or generic in names else existing
             mixture[[names.index(name) for name in chosen], column] = amount
     return mixture
 
 
 def _split(axis: str) -> tuple[str, str]:
-    """The name without its side, and the side ("left", "right" or "")."""
+    """An axis name without its side, and the side ("left", "right" or "")."""
     for side in ("Left", "Right"):
         if axis.endswith(side):
             return axis.removesuffix(side), side.lower()

@@ -1,7 +1,4 @@
-"""The generic head that a tracked face is put on: the procedural head with a torso, landmarks on its skin.
-
-And joints for the neck.
-"""
+"""The generic head that is fitted to a tracked face: the procedural head with a torso, landmarks and neck joints."""
 
 from __future__ import annotations
 
@@ -14,31 +11,37 @@ from scipy.sparse import csr_array
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.tracking.geometry.landmark_embedding import Embedding, boundary_loops, embed, skin_faces
+from preprocess.tracking.geometry.landmark_embedding import (
+    LandmarkEmbedding,
+    boundary_loops,
+    embed_landmarks,
+    skin_faces,
+)
 from preprocess.tracking.head.expression_axes import generic_mixture
 
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye", "cervical", "torso")
 PARENTS = (-1, 0, 1, 1, 1, 0, 5)
 TORSO_RINGS = 7
+"""Rings of vertices of the torso."""
 TORSO_HALF_WIDTH, TORSO_HALF_DEPTH, TORSO_DROP = 0.215, 0.105, 0.24
 """Size of the torso below the head's shoulders, m."""
 UV_STRIP = 0.10
-"""Share of the texture, at its lower edge, that the torso takes."""
+"""Share of the texture, at its lower edge, that the torso occupies."""
 
 
 @dataclass(frozen=True)
 class GenericHead:
-    """Arrays of the generic head and where the landmarks lie on it.
+    """Arrays of the generic head and its landmark embedding.
 
     Attributes:
         head: The procedural head.
-        vertices: Its vertices and those of the torso, m.
+        vertices: Its vertices, then those of the torso, m.
         faces: All triangles.
         uv: Texture coordinates of every corner.
-        soft: Triangles of skin and mouth lining, which one smooth displacement moves.
+        soft: Triangles of skin and mouth lining, which deform smoothly.
         regions: Named vertex sets.
-        landmarks: Sparse map from vertices to the 468 landmarks.
-        embedding: The same as triangles and weights.
+        landmarks: Sparse map from vertex values to values of the 468 landmarks.
+        embedding: The same map as triangles and weights.
         weights: Skinning weights for `JOINT_NAMES`.
         joints: Positions of the joints, m.
         axes: Displacement per unit of the named expression axes, m.
@@ -51,16 +54,16 @@ class GenericHead:
     soft: Int[np.ndarray, "S 3"]
     regions: dict[str, np.ndarray]
     landmarks: csr_array
-    embedding: Embedding
+    embedding: LandmarkEmbedding
     weights: Float[np.ndarray, "V J"]
     joints: Float[np.ndarray, "J 3"]
     axes: Float[np.ndarray, "V 3 A"]
 
 
 def generic_head(face: CanonicalFace) -> GenericHead:
-    """Assemble the generic head (about five seconds)."""
+    """Assemble the generic head; takes about five seconds."""
     head = procedural_head()
-    embedding = embed(face, head)
+    embedding = embed_landmarks(face, head)
     upper = head.template.numpy().astype(np.float64)
     rim = _rim(head, upper)
     rings, torso_faces, torso_uv = _torso(upper[rim], rim, len(upper))
@@ -86,28 +89,25 @@ def generic_head(face: CanonicalFace) -> GenericHead:
 
 
 def _shrunk_uv(head: HeadModel, count: int) -> np.ndarray:
-    """The head's texture coordinates above the strip for the torso."""
+    """The head's texture coordinates, scaled to leave the torso's strip free."""
     if head.uv is None:
         return np.zeros((count, 3, 2))
     return head.uv.numpy() * [1.0, 1.0 - UV_STRIP] + [0.0, UV_STRIP]
 
 
 def _joints(head: HeadModel, upper: np.ndarray) -> np.ndarray:
-    """The head's joints.
-
-    Then the upper neck joint where the head's neck joint is and the lower one where its root is.
-    """
+    """The head's joints, then the upper neck joint at its neck joint and the lower one at its root."""
     own = head.joint_regressor.numpy().astype(np.float64) @ upper
     return np.concatenate((own, own[[1, 0]]))
 
 
 def _rim(head: HeadModel, upper: np.ndarray) -> np.ndarray:
-    """The lower edge of the shoulders in order."""
+    """Vertices of the lower edge of the shoulders, in order."""
     return min(boundary_loops(skin_faces(head)), key=lambda loop: upper[loop, 1].mean())
 
 
 def _torso(rim: np.ndarray, rows: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rings that widen from the rim to a torso: vertices, triangles, texture coordinates."""
+    """Rings that widen from the rim to a torso: vertices, triangles and texture coordinates."""
     center = rim.mean(axis=0)
     heading = np.arctan2(rim[:, 2] - center[2], rim[:, 0] - center[0])
     wide = center + np.stack(
@@ -134,7 +134,7 @@ def _torso(rim: np.ndarray, rows: np.ndarray, count: int) -> tuple[np.ndarray, n
 
 
 def _weights(head: HeadModel, vertices: np.ndarray) -> np.ndarray:
-    """Skinning weights: the head's own, with the torso instead of its root; the upper neck joint only carries it."""
+    """Skinning weights: the head's, with the torso joint in place of the root; the upper neck joint has none."""
     own = head.skinning_weights.numpy().astype(np.float64)
     weights = np.zeros((len(vertices), len(JOINT_NAMES)))
     weights[: len(own), 1:5] = own[:, 1:]

@@ -1,4 +1,4 @@
-"""Head poses that several kinds of evidence agree on: landmarks, the hair's outline, the skin's texture."""
+"""Fusion of pose cues: head poses from landmarks, the hair's outline and the skin's texture together."""
 
 from __future__ import annotations
 
@@ -9,74 +9,81 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, pose_information, smooth_steps
+from preprocess.tracking.geometry.rigid import (
+    LandmarkObservations,
+    PinholeIntrinsics,
+    RigidPoses,
+    pose_information,
+    smooth_steps,
+)
 
-LANDMARK_ERROR = 0.020
-"""Of landmarks in a grimace, which err together, over the face's width."""
-LANDMARKS_COUNT = 20.0
-"""As many independent landmarks as all of them are worth."""
-ROUNDS = 6
+LANDMARK_STD = 0.020
+"""Standard deviation of the landmarks' common error in a strong expression, over the face's width."""
+EFFECTIVE_LANDMARKS = 20.0
+"""Effective number of independent landmarks among all of them."""
+ITERATIONS = 6
+"""Gauss–Newton steps on the fused poses."""
 
 
 @runtime_checkable
-class PoseEvidence(Protocol):
-    """Something that tells of every frame's pose."""
+class PoseCue(Protocol):
+    """A measurement that constrains the pose of every frame."""
 
-    def information(self, poses: Poses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
-        """Information matrix and gradient of every frame's pose, in the steps of `Poses.moved`."""
+    def information(self, poses: RigidPoses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
+        """Information matrix and gradient of every frame's pose, in the steps of `RigidPoses.moved`."""
         ...
 
-    def corrected(self, poses: Poses) -> PoseEvidence:
-        """The same with what it does not know of the head as it would be, were the poses these."""
+    def refined(self, poses: RigidPoses) -> PoseCue:
+        """The cue with its own unknowns (references, biases) re-estimated, given these poses."""
         ...
 
 
 @dataclass(frozen=True)
-class LandmarkEvidence:
-    """Where landmarks were seen, and where they are in head space.
+class LandmarkCue:
+    """Observed landmarks and their positions in head space.
 
     Attributes:
         observed: Landmarks with inverse variances.
-        shapes: In head space as the expressions of every frame put them, m.
-        lens: Camera.
+        shapes: Landmarks in head space under the expression of every frame, m.
+        intrinsics: Of the camera.
     """
 
-    observed: Observations
+    observed: LandmarkObservations
     shapes: Float[np.ndarray, "T N 3"]
-    lens: Lens
+    intrinsics: PinholeIntrinsics
 
-    def information(self, poses: Poses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
-        """Of every frame's pose."""
-        return pose_information(self.observed, self.shapes, self.lens, poses)
+    def information(self, poses: RigidPoses) -> tuple[Float[np.ndarray, "T 6 6"], Float[np.ndarray, "T 6"]]:
+        """Information matrix and gradient of every frame's pose."""
+        return pose_information(self.observed, self.shapes, self.intrinsics, poses)
 
-    def corrected(self, poses: Poses) -> LandmarkEvidence:
-        """The same: it takes its shapes for known."""
+    def refined(self, poses: RigidPoses) -> LandmarkCue:
+        """Itself: this cue has no unknowns of its own."""
         return self
 
 
-def trusted_landmarks(seen: Observations, width: float) -> Observations:
-    """Landmarks with variances such that all together are worth `LANDMARKS_COUNT`.
+def effective_observations(observed: LandmarkObservations, face_width: float) -> LandmarkObservations:
+    """Landmarks with inverse variances that sum up to those of `EFFECTIVE_LANDMARKS` independent ones.
 
     Args:
-        seen: Weights are relative, zero in frames without a face.
-        width: Of the face in the image, px.
+        observed: With relative weights, zero in frames without a face.
+        face_width: In the image, px.
     """
-    relative = seen.weights / max(float(seen.weights.max(axis=0).sum()), 1e-9)
-    return Observations(seen.points, relative * LANDMARKS_COUNT / (LANDMARK_ERROR * width) ** 2)
+    relative = observed.weights / max(float(observed.weights.max(axis=0).sum()), 1e-9)
+    return LandmarkObservations(observed.points, relative * EFFECTIVE_LANDMARKS / (LANDMARK_STD * face_width) ** 2)
 
 
-def settle(evidence: Sequence[PoseEvidence], poses: Poses, smoothness: float) -> Poses:
-    """Poses between all evidence (Gauss–Newton on all frames at once), which is corrected by them in every round.
+def fuse_poses(cues: Sequence[PoseCue], poses: RigidPoses, smoothness: float) -> RigidPoses:
+    """Poses that fit all cues together (Gauss–Newton on all frames at once); each step refines the cues first.
 
     Args:
-        evidence: What tells of poses.
-        poses: Where to start.
+        cues: Measurements of the poses.
+        poses: Initial poses.
         smoothness: Penalty on second differences; see `rigid.refine_poses`.
     """
-    known = list(evidence)
-    for _ in range(ROUNDS):
-        known = [one.corrected(poses) for one in known]
-        told = [one.information(poses) for one in known]
-        information, gradient = (sum(parts[1:], parts[0]) for parts in zip(*told, strict=True))
+    refined = list(cues)
+    for _ in range(ITERATIONS):
+        refined = [cue.refined(poses) for cue in refined]
+        contributions = [cue.information(poses) for cue in refined]
+        information, gradient = (sum(parts[1:], parts[0]) for parts in zip(*contributions, strict=True))
         poses = poses.moved(smooth_steps(information, gradient, poses, smoothness))
     return poses

@@ -1,1 +1,1 @@
-"""The torso, followed beside the head."""
+"""Motion of the torso, tracked beside the head."""

@@ -50,7 +50,7 @@ def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
     predictions, _ = write_folders(tmp_path, [1, 2])
     (predictions / "frame_0002.png").unlink()
     assert score(tmp_path) == 2
-    assert "no render for 1 frames: 2" in capsys.readouterr().err
+    assert "no prediction for 1 frames: 2" in capsys.readouterr().err
     write(predictions / "frame_0002.png", pair(40, 64)[1])
     assert score(tmp_path) == 2
     error = capsys.readouterr().err
@@ -67,12 +67,13 @@ def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
         (["run", "--pred", "a", "--gt", "b"], "found both"),
         (["absent"], "absent"),
         (["--pred", "a", "--gt", "b", "--protocol", "papr"], "paper"),
-        (["--pred", "a", "--gt", "b", "--fail-below", "pnsr=3"], "perhaps 'psnr'"),
+        (["--pred", "a", "--gt", "b", "--fail-below", "pnsr=3"], "did you mean psnr?"),
         (["--pred", "a", "--gt", "b", "--tolerance", "psnr=3"], "--compare FILE"),
         (["--pred", "a", "--gt", "b", "--github"], "to report, found none"),
         (["--pred", "a", "--gt", "b", "--compare", "gone.json"], "gone.json: no such file"),
-        (["--pred", "a", "--gt", "b", "--metrics", "psnrr"], "perhaps 'psnr'"),
+        (["--pred", "a", "--gt", "b", "--metrics", "psnrr"], "did you mean psnr?"),
         (["--pred", "absent", "--gt", "absent"], "expected a folder"),
+        (["run", "--device", "gpu"], "--device: expected auto, cpu, cuda"),
     ],
 )
 def test_bad_input_ends_with_code_2(
@@ -87,6 +88,16 @@ def test_bad_input_ends_with_code_2(
     assert message in capsys.readouterr().err
 
 
+def test_an_absent_cuda_device_is_one_line_and_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    (tmp_path / "run").mkdir()
+    assert main([str(tmp_path / "run"), "--device", "cuda", "--no-lpips"]) == 2
+    error = capsys.readouterr().err
+    assert "--device cuda: torch sees no CUDA device" in error and error.count("\n") == 1
+
+
 def test_an_unknown_flag_ends_with_code_2_and_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["--protocl", "paper"])
@@ -94,7 +105,7 @@ def test_an_unknown_flag_ends_with_code_2_and_the_nearest(capsys: pytest.Capture
     assert "--protocol" in capsys.readouterr().err
 
 
-def test_gates_end_with_code_3_and_say_what_fell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gates_end_with_code_3_and_say_what_failed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predictions, _ = write_folders(tmp_path, [1, 2])
     assert score(tmp_path, "--fail-below", "psnr=5", "ssim=0.1") == 0
     junit = tmp_path / "checks" / "junit.xml"
@@ -182,7 +193,7 @@ sys.exit(code)
 
 
 def imported(arguments: list[str]) -> tuple[int, str]:
-    """Exit code and the heavy modules that a fresh interpreter imported."""
+    """Exit code and the heavy modules that a fresh interpreter imports."""
     done = subprocess.run([sys.executable, "-c", SCRIPT, *arguments], capture_output=True, text=True, check=False)
     return done.returncode, done.stderr.splitlines()[-1]
 

@@ -1,4 +1,4 @@
-"""ggavatar-render as a user meets it: what it writes, what it refuses, its exit codes."""
+"""ggavatar-render from the outside: output files, refused options, exit codes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_test_frames_as_pictures_video_and_alpha(
+def test_test_frames_as_images_video_and_alpha(
     run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert render(monkeypatch, run, "--alpha") == 0
@@ -47,9 +47,9 @@ def test_test_frames_as_pictures_video_and_alpha(
     assert names(folder / "frames") == names(folder / "rgba") == ["000010.png", "000015.png"]
     with av.open(str(folder / "render.mp4")) as container:
         assert len(list(container.decode(video=0))) == 2
-    cutout = cv2.imread(str(folder / "rgba" / "000010.png"), cv2.IMREAD_UNCHANGED)
-    alpha = cutout[..., 3:] / 255
-    again = cutout[..., 2::-1] * alpha + 255 * (1 - alpha)
+    rgba = cv2.imread(str(folder / "rgba" / "000010.png"), cv2.IMREAD_UNCHANGED)
+    alpha = rgba[..., 3:] / 255
+    again = rgba[..., 2::-1] * alpha + 255 * (1 - alpha)
     assert alpha.max() > 0.5 and np.abs(again - read_rgb(folder / "frames" / "000010.png")).max() <= 2
     shown = capsys.readouterr()
     written = [str(folder / name) for name in ("frames", "rgba", "render.mp4")]
@@ -60,8 +60,8 @@ def test_orbit_and_its_figure(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_pat
     out = tmp_path / "o"
     assert render(monkeypatch, run, "--orbit", "--views", 8, "--no-video", "-o", out, "--background", "0,0,255") == 0
     assert names(out) == ["frames", "novel_views.png", "render.json"] and len(names(out / "frames")) == 8
-    pictures = [read_rgb(path) for path in sorted((out / "frames").iterdir())]
-    assert pictures[0][0, 0].tolist() == [0, 0, 255] and (pictures[0] != pictures[1]).any()
+    images = [read_rgb(path) for path in sorted((out / "frames").iterdir())]
+    assert images[0][0, 0].tolist() == [0, 0, 255] and (images[0] != images[1]).any()
 
 
 def test_another_capture_drives(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -116,8 +116,8 @@ def test_existing_output(run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pyte
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--orbit", "--drive", "x"], "found both"),
-        (["--resume", "--overwrite"], "found both"),
+        (["--orbit", "--drive", "x"], "mutually exclusive"),
+        (["--resume", "--overwrite"], "mutually exclusive"),
         (["--views", "0"], "--views"),
         (["--width", "3"], "--width"),
         (["--fps", "0"], "--fps"),
@@ -133,7 +133,7 @@ def test_bad_requests(
 ) -> None:
     assert render(monkeypatch, run, *arguments) == 2
     assert words in capsys.readouterr().err
-    assert not (run.folder / "renders").exists(), "nothing is written before the request is understood"
+    assert not (run.folder / "renders").exists(), "nothing is written before the options are validated"
 
 
 def test_not_a_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -141,15 +141,25 @@ def test_not_a_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert main() == 2 and "expected a run folder" in capsys.readouterr().err
 
 
+def test_an_absent_cuda_device_is_one_line_and_code_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(sys, "argv", ["ggavatar-render", str(tmp_path), "--device", "cuda"])
+    assert main() == 2
+    error = capsys.readouterr().err
+    assert "--device cuda: torch sees no CUDA device" in error and error.count("\n") == 1
+
+
 def test_straight_alpha_composites_back() -> None:
     random = torch.Generator().manual_seed(1)
     alpha = torch.rand((5, 6, 1), generator=random)
     alpha[0] = 0
     color, background = torch.rand((5, 6, 3), generator=random), torch.tensor([0.2, 0.5, 1.0])
-    cutout = straight_alpha(color * alpha + background * (1 - alpha), alpha, background)
-    torch.testing.assert_close(cutout[1:, :, :3], color[1:], atol=1e-4, rtol=0)
-    torch.testing.assert_close(cutout[..., 3:], alpha)
-    assert not cutout[0, :, :3].any()
+    rgba = straight_alpha(color * alpha + background * (1 - alpha), alpha, background)
+    torch.testing.assert_close(rgba[1:, :, :3], color[1:], atol=1e-4, rtol=0)
+    torch.testing.assert_close(rgba[..., 3:], alpha)
+    assert not rgba[0, :, :3].any()
 
 
 def test_progress_is_quiet_off_a_terminal() -> None:

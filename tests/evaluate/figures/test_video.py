@@ -36,7 +36,7 @@ def test_a_failed_video_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="renderer failed"), video_writer(tmp_path / "v.mp4", 25.0) as append:
         append(np.zeros((16, 16, 3), np.uint8))
         raise RuntimeError("the renderer failed")
-    with pytest.raises(InputError, match="at least one picture"), video_writer(tmp_path / "v.mp4", 25.0):
+    with pytest.raises(InputError, match="at least one image"), video_writer(tmp_path / "v.mp4", 25.0):
         pass
     assert list(tmp_path.iterdir()) == []
 

@@ -1,4 +1,4 @@
-"""Faces: the arithmetic by hand, the landmarks on a public-domain portrait, the recogniser as a tiny network."""
+"""Faces: the arithmetic by hand, the landmarks on a public-domain portrait, the recognizer as a tiny network."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from skimage.data import astronaut
 
 from evaluate.metrics.catalogue import FACES
-from evaluate.metrics.faces import BUNDLE, RECOGNISER, FaceMetrics, alignment_row, cosine
-from evaluate.protocols.protocol import named
+from evaluate.metrics.faces import BUNDLE, RECOGNIZER, FaceMetrics, alignment_row, cosine
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import score
@@ -36,7 +36,7 @@ def tensor_info(name: str, shape: tuple[int, ...]) -> bytes:
 
 
 def mean_color_network(path: Path) -> Path:
-    """An ONNX file whose embedding of a face is its mean colour (one GlobalAveragePool node)."""
+    """An ONNX file whose embedding of a face is its mean color (one GlobalAveragePool node)."""
     node = message(1, b"data") + message(2, b"fc1") + message(4, b"GlobalAveragePool")
     graph = message(1, node) + message(2, b"g") + message(11, tensor_info("data", (1, 3, 112, 112)))
     graph += message(12, tensor_info("fc1", (1, 3, 1, 1)))
@@ -46,18 +46,18 @@ def mean_color_network(path: Path) -> Path:
 
 @pytest.fixture
 def networks(models_folder: Path, tmp_path: Path) -> Path:
-    """A folder with the real face landmarker and the stand-in for the recogniser."""
+    """A folder with the real face landmarker and the stand-in for the recognizer."""
     folder = tmp_path / "models"
     folder.mkdir()
     if not (models_folder / BUNDLE).is_file():
         pytest.skip(f"{BUNDLE} not found in $GGAVATAR_MODELS")
     (folder / BUNDLE).symlink_to(models_folder / BUNDLE)
-    mean_color_network(folder / RECOGNISER)
+    mean_color_network(folder / RECOGNIZER)
     return folder
 
 
 OUTER_CORNERS = 60.0
-"""Distance between the outer corners of the portrait's eyes, px, read off the picture."""
+"""Distance between the outer corners of the portrait's eyes, px, read off the image."""
 
 
 @pytest.mark.weights
@@ -65,7 +65,7 @@ def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_
     truth = astronaut()
     faces = FaceMetrics(FACES, [networks])
     assert faces.missing == {}
-    assert set(faces.hashes) == {f"faces/{BUNDLE}", f"faces/{RECOGNISER}"}
+    assert set(faces.hashes) == {f"faces/{BUNDLE}", f"faces/{RECOGNIZER}"}
     same = faces.measure(truth, truth)
     assert same.values == {"landmark_distance": 0.0, "expression_distance": 0.0, "identity": pytest.approx(1)}
     moved = faces.measure(np.roll(truth, 32, axis=1), truth)
@@ -85,9 +85,9 @@ def test_an_open_mouth_is_another_expression_and_the_order_of_frames_does_not_ma
     assert set(found) == {"expression_distance"}
     finder = LandmarkTracker(networks / BUNDLE)
     scores = []
-    for picture in (opened, truth):
+    for image in (opened, truth):
         finder.reset()
-        seen = finder.landmarks(picture)
+        seen = finder.landmarks(image)
         assert seen is not None
         scores.append({name: float(seen.blendshapes[k]) for k, name in enumerate(NAMES) if name != "neutral"})
     assert scores[0]["mouthLowerDownLeft"] > scores[1]["mouthLowerDownLeft"] + 0.5
@@ -103,7 +103,7 @@ def test_faces_are_aligned_by_eyes_nose_and_mouth(networks: Path) -> None:
     found = LandmarkTracker(networks / BUNDLE).landmarks(astronaut())
     assert found is not None
     row = alignment_row(found.points)
-    # Read off the picture: the subject's right and left eye, the tip of the nose, the corners of the mouth.
+    # Read off the image: the subject's right and left eye, the tip of the nose, the corners of the mouth.
     expected = [[203, 101], [248, 103], [225, 125], [202, 139], [245, 141]]
     np.testing.assert_allclose(row[4:14].reshape(5, 2), expected, atol=4)
     left, top, width, height = row[:4]
@@ -126,7 +126,7 @@ def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path
         write(tmp_path / "gt" / f"{frame}.png", portrait)
         write(tmp_path / "pred" / f"{frame}.png", portrait if frame != 1 else np.full_like(portrait, 255))
     pairs = pair_folders(tmp_path / "pred", tmp_path / "gt")
-    protocol = named("folders").override(metrics=FACES, table_metrics=FACES[:1])
+    protocol = protocol_by_name("folders").override(metrics=FACES, table_metrics=FACES[:1])
     found = score(pairs, protocol, Labels("a", "b"), faces=FaceMetrics(FACES, [networks]))
     assert [value is None for value in found.values["landmark_distance"]] == [False, True, False, False, False]
     assert [value is None for value in found.values["landmark_jitter"]] == [True, True, True, True, False]
@@ -138,7 +138,7 @@ def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path
 def test_without_networks_there_are_reasons(tmp_path: Path) -> None:
     faces = FaceMetrics(FACES, [tmp_path])
     assert set(faces.missing) == set(FACES)
-    assert RECOGNISER in faces.missing["identity"]
+    assert RECOGNIZER in faces.missing["identity"]
     assert BUNDLE in faces.missing["expression_distance"]
     assert faces.measure(astronaut(), astronaut()).values == {}
     (tmp_path / BUNDLE).write_bytes(b"not a network")

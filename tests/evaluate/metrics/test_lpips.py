@@ -119,9 +119,9 @@ def test_arithmetic_equals_the_lpips_package(lpips_package: types.ModuleType, tm
 @pytest.mark.parametrize(("sample", "expected"), [("ex_p0", 0.7219), ("ex_p1", 0.1376)])
 def test_alex_gives_the_published_values(models_folder: Path, data_folder: Path, sample: str, expected: float) -> None:
     def read(name: str) -> np.ndarray:
-        picture = cv2.imread(str(data_folder / "lpips_samples" / f"{name}.png"))
-        assert picture is not None
-        return np.ascontiguousarray(picture[..., ::-1])
+        image = cv2.imread(str(data_folder / "lpips_samples" / f"{name}.png"))
+        assert image is not None
+        return np.ascontiguousarray(image[..., ::-1])
 
     metrics = PerceptualMetrics(["lpips_alex", "lpips_squeeze", "lpips_alex_unit_range"], [models_folder])
     found = metrics.measure(read(sample), read("ex_ref"))

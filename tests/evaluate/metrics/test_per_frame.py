@@ -7,7 +7,7 @@ import pytest
 
 from evaluate.metrics import pixels, ssim
 from evaluate.metrics.per_frame import measure_pixels
-from tests.support.image_pairs import pair
+from tests.support.image_pairs import mean_ssim, mean_ssim_3dgs, pair
 
 
 def test_shared_maps_give_what_the_definitions_give() -> None:
@@ -25,10 +25,10 @@ def test_shared_maps_give_what_the_definitions_give() -> None:
         "psnr": pixels.psnr(render, truth),
         "mse": pixels.mean_squared_error(render, truth),
         "l1": pixels.mean_absolute_error(render, truth),
-        "ssim": ssim.ssim(render, truth),
-        "ssim_luma": ssim.ssim(*lumas),
-        "ssim_3dgs": ssim.ssim_3dgs(render, truth),
-        "ssim_3dgs_luma": ssim.ssim_3dgs(*lumas),
+        "ssim": mean_ssim(render, truth),
+        "ssim_luma": mean_ssim(*lumas),
+        "ssim_3dgs": mean_ssim_3dgs(render, truth),
+        "ssim_3dgs_luma": mean_ssim_3dgs(*lumas),
         "ms_ssim": ssim.ms_ssim(render, truth),
         "psnr@face": pixels.masked_psnr(squared, weights),
         "mse@face": pixels.masked_mean(squared, weights),
@@ -51,7 +51,7 @@ def test_empty_full_and_absent_masks() -> None:
     assert found["ssim@empty"] is None
     assert found["l1@absent"] is None
     assert found["psnr@full"] == pytest.approx(pixels.psnr(render, truth), rel=1e-6)
-    assert found["ssim_3dgs@full"] == pytest.approx(ssim.ssim_3dgs(render, truth), rel=1e-6)
+    assert found["ssim_3dgs@full"] == pytest.approx(mean_ssim_3dgs(render, truth), rel=1e-6)
 
 
 def test_images_too_small_for_a_metric_give_none() -> None:

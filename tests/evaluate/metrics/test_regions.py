@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluate.metrics.regions import boundary_band, hair_region, mesh_regions, painted_outside
+from evaluate.metrics.regions import boundary_band, fill_outside, hair_region, mesh_regions
 
 
 def test_the_band_of_a_half_plane_is_two_radii_wide() -> None:
@@ -26,7 +26,7 @@ def test_painting_outside_changes_only_the_outside() -> None:
     image = np.full((4, 4, 3), 7, np.uint8)
     inside = np.zeros((4, 4), np.float32)
     inside[1:3, 1:3] = 0.5
-    painted = painted_outside(image, inside, (1.0, 0.0, 0.2))
+    painted = fill_outside(image, inside, (1.0, 0.0, 0.2))
     assert (painted[1:3, 1:3] == 7).all()
     assert painted[0, 0].tolist() == [255, 0, 51]
     assert (image == 7).all()

@@ -12,7 +12,7 @@ from torch.nn.functional import conv2d
 
 from evaluate.metrics import ssim
 from evaluate.metrics.pixels import masked_mean
-from tests.support.image_pairs import pair
+from tests.support.image_pairs import mean_ssim, mean_ssim_3dgs, pair
 
 WANG = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1.0}
 
@@ -21,16 +21,16 @@ WANG = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, 
 def test_ssim_equals_skimage_with_the_settings_of_wang(size: tuple[int, int]) -> None:
     truth, render = pair(*size)
     expected = structural_similarity(truth / 255.0, render / 255.0, channel_axis=2, **WANG)
-    assert ssim.ssim(render, truth) == pytest.approx(expected, abs=1e-5)
-    assert ssim.ssim(render / 255.0, truth / 255.0) == pytest.approx(expected, abs=1e-5)
+    assert mean_ssim(render, truth) == pytest.approx(expected, abs=1e-5)
+    assert mean_ssim(render / 255.0, truth / 255.0) == pytest.approx(expected, abs=1e-5)
 
 
 def test_ssim_of_luma_equals_skimage() -> None:
     truth, render = pair(64, 80)
-    grey = [ssim.luma(image)[..., 0].astype(np.float64) for image in (truth, render)]
-    np.testing.assert_allclose(grey[0], truth / 255.0 @ [0.299, 0.587, 0.114], atol=1e-6)
-    expected = structural_similarity(*grey, **WANG)
-    assert ssim.ssim(ssim.luma(render), ssim.luma(truth)) == pytest.approx(expected, abs=1e-5)
+    gray = [ssim.luma(image)[..., 0].astype(np.float64) for image in (truth, render)]
+    np.testing.assert_allclose(gray[0], truth / 255.0 @ [0.299, 0.587, 0.114], atol=1e-6)
+    expected = structural_similarity(*gray, **WANG)
+    assert mean_ssim(ssim.luma(render), ssim.luma(truth)) == pytest.approx(expected, abs=1e-5)
 
 
 def test_noise_and_flat_images_equal_skimage_too() -> None:
@@ -41,7 +41,7 @@ def test_noise_and_flat_images_equal_skimage_too() -> None:
     almost[20, 20] = 254
     for first, second in ((noise, flat), (flat, almost), (noise, 255 - noise)):
         expected = structural_similarity(first / 255.0, second / 255.0, channel_axis=2, **WANG)
-        assert ssim.ssim(first, second) == pytest.approx(expected, abs=1e-5)
+        assert mean_ssim(first, second) == pytest.approx(expected, abs=1e-5)
 
 
 def zero_padded(first: np.ndarray, second: np.ndarray) -> float:
@@ -63,8 +63,8 @@ def zero_padded(first: np.ndarray, second: np.ndarray) -> float:
 
 def test_the_3dgs_variant_pads_with_zeros() -> None:
     truth, render = pair()
-    assert ssim.ssim_3dgs(render, truth) == pytest.approx(zero_padded(render, truth), abs=1e-5)
-    assert abs(ssim.ssim_3dgs(render, truth) - ssim.ssim(render, truth)) > 1e-4
+    assert mean_ssim_3dgs(render, truth) == pytest.approx(zero_padded(render, truth), abs=1e-5)
+    assert abs(mean_ssim_3dgs(render, truth) - mean_ssim(render, truth)) > 1e-4
 
 
 @pytest.mark.parametrize(("size", "expected"), [((176, 200), 0.9699518809387815), ((241, 307), 0.9678497840481737)])
@@ -83,11 +83,11 @@ def test_ms_ssim_of_a_small_image_is_refused() -> None:
 @given(st.integers(0, 2**32 - 1), st.integers(11, 30), st.integers(11, 30))
 def test_identical_images_score_exactly_one_and_others_less(seed: int, height: int, width: int) -> None:
     image = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    assert ssim.ssim(image, image) == ssim.ssim_3dgs(image, image) == 1
+    assert mean_ssim(image, image) == mean_ssim_3dgs(image, image) == 1
     other = image.copy()
     other[height // 2, width // 2, 0] ^= 255
-    assert ssim.ssim_3dgs(image, other) < 1
-    assert ssim.ssim_3dgs(image, other) == pytest.approx(ssim.ssim_3dgs(other, image), abs=1e-6)
+    assert mean_ssim_3dgs(image, other) < 1
+    assert mean_ssim_3dgs(image, other) == pytest.approx(mean_ssim_3dgs(other, image), abs=1e-6)
 
 
 def test_the_map_averaged_over_a_region_sees_only_that_region() -> None:
@@ -99,7 +99,7 @@ def test_the_map_averaged_over_a_region_sees_only_that_region() -> None:
     left[:, :30] = 1
     assert masked_mean(values, left) == pytest.approx(1, abs=1e-6)
     everywhere = masked_mean(values, np.ones_like(left))
-    assert everywhere == pytest.approx(ssim.ssim_3dgs(half_wrong, truth), abs=1e-6)
+    assert everywhere == pytest.approx(mean_ssim_3dgs(half_wrong, truth), abs=1e-6)
     assert everywhere < 0.99
     assert masked_mean(values, np.zeros_like(left)) is None
     with pytest.raises(ValueError, match="expected a mask of"):
@@ -109,4 +109,4 @@ def test_the_map_averaged_over_a_region_sees_only_that_region() -> None:
 def test_an_image_smaller_than_the_window_is_refused() -> None:
     truth, render = pair(10, 40)
     with pytest.raises(ValueError, match="at least 11x11"):
-        ssim.ssim(render, truth)
+        mean_ssim(render, truth)

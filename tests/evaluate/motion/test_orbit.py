@@ -1,4 +1,4 @@
-"""Orbits: the centre keeps its pixel, the camera its distance, the signs are as documented."""
+"""Orbits: the center keeps its pixel, the camera its distance, the signs are as documented."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import pytest
 import torch
 
 from evaluate.figures.novel_views import PITCHES, YAWS, novel_views, views_at
-from evaluate.motion.orbit import head_center, sweep, turned
+from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
 from ggavatar.geometry.transforms import invert_rigid, project
 from ggavatar.render.reference import rasterize
 from tests.support.toy_run import ToyAvatar, camera, head
 
 
 @pytest.mark.parametrize(("yaw", "pitch"), [(0.7, 0.0), (-0.3, 0.4), (0.0, -1.0), (3.0, 0.2)])
-def test_the_centre_stays_and_the_distance_too(yaw: float, pitch: float) -> None:
+def test_the_center_stays_and_the_distance_too(yaw: float, pitch: float) -> None:
     start, center = camera(), torch.tensor([0.03, -0.02, 0.05])
-    moved = turned(start, center, yaw, pitch)
+    moved = orbit_camera(start, center, yaw, pitch)
     before = project(center[None], start.intrinsics, start.world_to_camera)
     torch.testing.assert_close(project(center[None], moved.intrinsics, moved.world_to_camera), before)
     eyes = [invert_rigid(view.world_to_camera)[:3, 3] for view in (start, moved)]
@@ -31,14 +31,14 @@ def test_signs_are_as_documented() -> None:
     rest = invert_rigid(start.world_to_camera)[:3, 3]
     image_right = start.world_to_camera[0, :3]
     image_up = -start.world_to_camera[1, :3]
-    right = invert_rigid(turned(start, center, 0.3, 0.0).world_to_camera)[:3, 3]
-    above = invert_rigid(turned(start, center, 0.0, 0.3).world_to_camera)[:3, 3]
+    right = invert_rigid(orbit_camera(start, center, 0.3, 0.0).world_to_camera)[:3, 3]
+    above = invert_rigid(orbit_camera(start, center, 0.0, 0.3).world_to_camera)[:3, 3]
     assert (right - rest) @ image_right > 0.2 and abs((right - rest) @ image_up) < 1e-6
     assert (above - rest) @ image_up > 0.2 and abs((above - rest) @ image_right) < 1e-6
 
 
 def test_sweep_begins_and_ends_at_the_front() -> None:
-    angles = list(sweep(80, 40.0, 20.0))
+    angles = list(orbit_angles(80, 40.0, 20.0))
     assert angles[0] == (0.0, 0.0) and len(angles) == 80
     assert max(yaw for yaw, _ in angles) == pytest.approx(40) and min(pitch for _, pitch in angles) == pytest.approx(
         -20

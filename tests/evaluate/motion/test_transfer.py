@@ -11,24 +11,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from evaluate.figures.reenactment import reenactment, telling_rows
-from evaluate.motion.motion import Cameras, Motion, motion_of, read_motion
-from evaluate.motion.retarget import basis_family, fitted_to
+from evaluate.figures.reenactment import reenactment, representative_rows
+from evaluate.motion.driving_sequence import Cameras, DrivingSequence, driving_sequence_of, read_driving_sequence
+from evaluate.motion.retarget import basis_family, retarget
 from evaluate.motion.smoothing import one_euro, savgol, smoothed
-from evaluate.motion.transfer import Transfer, limited, neutral_row, soft_clip, transferred
+from evaluate.motion.transfer import (
+    TransferOptions,
+    limit_to_training_range,
+    neutral_row,
+    soft_clip,
+    transfer_performance,
+)
 from ggavatar.errors import InputError
 from tests.support.toy_run import COUNT, JOINTS, write_capture
 
-RAW = Transfer(smooth="none", margin=None)
+RAW = TransferOptions(smooth="none", margin=None)
 
 
-def motion(seed: int, count: int = 12, depth: float = 1.0, width: int = 100) -> Motion:
+def motion(seed: int, count: int = 12, depth: float = 1.0, width: int = 100) -> DrivingSequence:
     random = np.random.default_rng(seed)
     views = np.repeat(np.eye(4)[None], count, 0)
     views[:, :3, :3] = Rotation.from_rotvec(random.normal(0, 0.3, (count, 3))).as_matrix()
     views[:, :3, 3] = random.normal([0, 0, depth], 0.05, (count, 3))
     intrinsics = np.repeat(np.diag([200.0, 200.0, 1.0])[None], count, 0)
-    return Motion(
+    return DrivingSequence(
         expression=random.normal(size=(count, 4)),
         joint_rotations=random.normal(0, 0.2, (count, 5, 3)),
         eyelids=random.random((count, 2)),
@@ -43,7 +49,7 @@ def motion(seed: int, count: int = 12, depth: float = 1.0, width: int = 100) -> 
 
 def test_relative_transfer_adds_changes_to_the_targets_neutral() -> None:
     driver, target = motion(1), motion(2)
-    moved = transferred(driver, 3, target, 7, RAW)
+    moved = transfer_performance(driver, 3, target, 7, RAW)
     np.testing.assert_allclose(moved.expression - target.expression[7], driver.expression - driver.expression[3])
     np.testing.assert_allclose(
         moved.translation[4] - moved.translation[3], driver.translation[4] - driver.translation[3]
@@ -58,18 +64,18 @@ def test_relative_transfer_adds_changes_to_the_targets_neutral() -> None:
 
 def test_transfer_to_oneself_changes_nothing() -> None:
     driver = motion(1)
-    moved = transferred(driver, 3, driver, 3, RAW)
+    moved = transfer_performance(driver, 3, driver, 3, RAW)
     np.testing.assert_allclose(moved.expression, driver.expression)
     np.testing.assert_allclose(moved.joint_rotations, driver.joint_rotations, atol=1e-12)
     assert moved.cameras and driver.cameras
     np.testing.assert_allclose(moved.cameras.world_to_camera, driver.cameras.world_to_camera, atol=1e-12)
 
 
-def test_pose_moves_by_the_same_part_of_the_picture() -> None:
+def test_pose_moves_by_the_same_part_of_the_image() -> None:
     driver, target = motion(1, depth=1.0), motion(2, depth=3.0, width=400)
-    moved = transferred(driver, 0, target, 0, RAW)
+    moved = transfer_performance(driver, 0, target, 0, RAW)
     assert moved.cameras and target.cameras and driver.cameras
-    factor = target.cameras.metres_across() / driver.cameras.metres_across()
+    factor = target.cameras.view_width() / driver.cameras.view_width()
     np.testing.assert_allclose(
         factor, target.cameras.world_to_camera[0, 2, 3] / driver.cameras.world_to_camera[0, 2, 3] * 4
     )
@@ -83,9 +89,11 @@ def test_pose_moves_by_the_same_part_of_the_picture() -> None:
 def test_still_and_absolute_pose_and_drivers_without_cameras() -> None:
     driver, target = motion(1), motion(2)
     assert driver.cameras and target.cameras
-    still = transferred(driver, 0, target, 4, dataclasses.replace(RAW, pose="still"))
-    copied = transferred(driver, 0, target, 4, dataclasses.replace(RAW, expression="absolute", pose="absolute"))
-    blind = transferred(dataclasses.replace(driver, cameras=None), 0, target, 4, RAW)
+    still = transfer_performance(driver, 0, target, 4, dataclasses.replace(RAW, pose="still"))
+    copied = transfer_performance(
+        driver, 0, target, 4, dataclasses.replace(RAW, expression="absolute", pose="absolute")
+    )
+    blind = transfer_performance(dataclasses.replace(driver, cameras=None), 0, target, 4, RAW)
     for moved in (still, blind):
         assert moved.cameras and len(moved.cameras.world_to_camera) == len(moved.frames)
         np.testing.assert_array_equal(moved.cameras.world_to_camera[8], target.cameras.world_to_camera[4])
@@ -109,7 +117,7 @@ def test_soft_clip_is_the_identity_inside_and_bounded_outside(value: float, marg
 def test_limits_hold_expressions_and_joint_angles() -> None:
     seen, wild = motion(1), motion(2)
     wild = dataclasses.replace(wild, expression=wild.expression * 50, joint_rotations=wild.joint_rotations * 6)
-    kept = limited(wild, seen, 0, 0.1)
+    kept = limit_to_training_range(wild, seen, 0, 0.1)
     widths = seen.expression.max(0) - seen.expression.min(0)
     zone = 0.1 * np.maximum(widths, np.median(widths)) + 1e-6
     assert (kept.expression <= seen.expression.max(0) + zone).all() and (
@@ -118,7 +126,7 @@ def test_limits_hold_expressions_and_joint_angles() -> None:
     rest = Rotation.from_rotvec(seen.joint_rotations[0, 1]).inv()
     most = (Rotation.from_rotvec(seen.joint_rotations[:, 1]) * rest).magnitude().max()
     assert (Rotation.from_rotvec(kept.joint_rotations[:, 1]) * rest).magnitude().max() <= most * 1.1 + 1e-6
-    same = limited(seen, seen, 0, 0.1)
+    same = limit_to_training_range(seen, seen, 0, 0.1)
     np.testing.assert_allclose(same.expression, seen.expression)
     np.testing.assert_allclose(same.joint_rotations, seen.joint_rotations, atol=1e-9)
 
@@ -156,7 +164,9 @@ def test_one_euro_is_steady_at_rest_and_follows_motion() -> None:
 def test_smoothing_keeps_a_performance_at_rest() -> None:
     driver = motion(1)
     resting = driver.rows(np.zeros(12, int))
-    moved = transferred(dataclasses.replace(resting, frames=driver.frames), 0, driver, 0, Transfer(margin=None))
+    moved = transfer_performance(
+        dataclasses.replace(resting, frames=driver.frames), 0, driver, 0, TransferOptions(margin=None)
+    )
     np.testing.assert_allclose(moved.joint_rotations, resting.joint_rotations, atol=1e-9)
 
 
@@ -164,23 +174,23 @@ def test_another_basis_is_refused_and_its_family_filled_up_by_force() -> None:
     target = motion(2)
     shorter = dataclasses.replace(motion(1), expression=np.ones((12, 2)))
     with pytest.raises(InputError, match="--force-basis"):
-        fitted_to(shorter, target)
-    filled = fitted_to(shorter, target, force=True)
+        retarget(shorter, target)
+    filled = retarget(shorter, target, force=True)
     assert filled.expression[0].tolist() == [1, 1, 0, 0] and filled.head_version == "toy-1"
     newer = dataclasses.replace(motion(1), head_version="toy-2")
     with pytest.raises(InputError, match="'toy-2'"):
-        fitted_to(newer, target)
-    assert fitted_to(newer, target, force=True).expression.shape == (12, 4)
+        retarget(newer, target)
+    assert retarget(newer, target, force=True).expression.shape == (12, 4)
     for force in (False, True):
         with pytest.raises(InputError, match="mean different things"):
-            fitted_to(dataclasses.replace(motion(1), head_version="pca-of-bob"), target, force)
+            retarget(dataclasses.replace(motion(1), head_version="pca-of-bob"), target, force)
     assert {basis_family(tag) for tag in ("flame2020", "FLAME2023", "flame-2023.1")} == {"flame"}
 
 
 def test_joints_are_matched_by_name() -> None:
     target, driver = motion(2), motion(1)
     turned = dataclasses.replace(driver, joint_names=("jaw", "root"), joint_rotations=driver.joint_rotations[:, :2])
-    fitted = fitted_to(turned, target)
+    fitted = retarget(turned, target)
     np.testing.assert_array_equal(fitted.joint_rotations[:, 2], driver.joint_rotations[:, 0])
     np.testing.assert_array_equal(fitted.joint_rotations[:, 0], driver.joint_rotations[:, 1])
     assert not fitted.joint_rotations[:, [1, 3, 4]].any()
@@ -188,18 +198,18 @@ def test_joints_are_matched_by_name() -> None:
 
 def test_capture_and_npz_give_the_same_motion(tmp_path: Path) -> None:
     capture = write_capture(tmp_path / "capture")
-    whole = motion_of(capture)
+    whole = driving_sequence_of(capture)
     tracked = {name: value for name, value in capture.tracking.arrays().items()}
     np.savez(
         tmp_path / "params.npz", version="toy-1", joint_names=np.array(JOINTS), fps=25.0, frames=capture.frames,
         size=[capture.width, capture.height], **tracked,
     )  # fmt: skip
-    read = read_motion(tmp_path / "params.npz")
+    read = read_driving_sequence(tmp_path / "params.npz")
     for name in ("expression", "joint_rotations", "eyelids", "translation"):
         np.testing.assert_array_equal(getattr(read, name), getattr(whole, name))
     assert (read.frames, read.joint_names, read.head_version) == (whole.frames, whole.joint_names, whole.head_version)
     assert read.cameras and whole.cameras and read.cameras.size == whole.cameras.size
-    assert len(read_motion(tmp_path / "capture").frames) == COUNT and read.row(12) == 2
+    assert len(read_driving_sequence(tmp_path / "capture").frames) == COUNT and read.row(12) == 2
 
 
 @pytest.mark.parametrize(
@@ -219,13 +229,13 @@ def test_capture_and_npz_give_the_same_motion(tmp_path: Path) -> None:
 def test_bad_parameter_files_are_refused(tmp_path: Path, arrays: dict, words: str) -> None:
     np.savez(tmp_path / "params.npz", **arrays)
     with pytest.raises(InputError, match=words):
-        read_motion(tmp_path / "params.npz")
+        read_driving_sequence(tmp_path / "params.npz")
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "params.pkl").write_bytes(b"x")
     with pytest.raises(InputError, match="capture folder or an"):
-        read_motion(tmp_path / "params.pkl")
+        read_driving_sequence(tmp_path / "params.pkl")
 
 
 def test_figure_picks_frames_that_differ(tmp_path: Path) -> None:
@@ -234,7 +244,7 @@ def test_figure_picks_frames_that_differ(tmp_path: Path) -> None:
         calm, expression=np.zeros((20, 4)), joint_rotations=np.zeros((20, 5, 3)), eyelids=np.zeros((20, 2))
     )
     calm.expression[4, 0], calm.expression[15, 1] = 3.0, 3.0
-    assert {4, 15} <= set(telling_rows(calm, 3)) and len(telling_rows(calm, 50)) == 20
+    assert {4, 15} <= set(representative_rows(calm, 3)) and len(representative_rows(calm, 50)) == 20
     tiles = [np.full((20, 20, 3), 40 * k, np.uint8) for k in range(3)]
     both = reenactment(tiles, {"ours": tiles, "theirs": tiles}, ["1", "2", "3"], width=64)
     assert reenactment([], {"ours": tiles}, width=64).shape[0] < both.shape[0]

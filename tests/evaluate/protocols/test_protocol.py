@@ -9,7 +9,7 @@ import json
 import pytest
 
 from evaluate.metrics import catalogue
-from evaluate.protocols.protocol import PROTOCOLS, Protocol, from_dict, named
+from evaluate.protocols.protocol import PROTOCOLS, Protocol, protocol_by_name, protocol_from_dict
 from ggavatar.errors import InputError
 
 CHANGES = {
@@ -30,9 +30,9 @@ CHANGES = {
 
 @pytest.mark.parametrize("name", ["paper", "insta-350", "flash-500", "imavatar-face256", "gaussian-avatars", "strict"])
 def test_named_protocols_exist_and_differ(name: str) -> None:
-    protocol = named(name)
+    protocol = protocol_by_name(name)
     assert protocol.id == f"{name}-v1"
-    assert named(protocol.id) is protocol
+    assert protocol_by_name(protocol.id) is protocol
     assert sum(other.digest == protocol.digest for other in PROTOCOLS.values()) == 1
     assert set(protocol.table_metrics) <= set(protocol.metrics)
 
@@ -40,7 +40,7 @@ def test_named_protocols_exist_and_differ(name: str) -> None:
 def test_every_field_but_the_name_can_be_overridden_and_changes_id_and_digest() -> None:
     fields = {field.name for field in dataclasses.fields(Protocol)} - {"name", "version", "overrides"}
     assert fields == set(CHANGES)
-    base = named("paper")
+    base = protocol_by_name("paper")
     seen = {base.digest}
     for field, value in CHANGES.items():
         changed = base.override(**{field: value})
@@ -52,7 +52,7 @@ def test_every_field_but_the_name_can_be_overridden_and_changes_id_and_digest() 
 
 
 def test_ids_of_long_and_strange_values_still_name_a_folder() -> None:
-    base = named("paper")
+    base = protocol_by_name("paper")
     everything = tuple(catalogue.METRICS)
     long = base.override(metrics=everything, split="file:/some where/split.json")
     other = base.override(metrics=(*everything[1:], everything[0]), split="file:/some where/split.json")
@@ -62,7 +62,7 @@ def test_ids_of_long_and_strange_values_still_name_a_folder() -> None:
 
 
 def test_overriding_back_restores_id_and_digest_and_equal_values_change_nothing() -> None:
-    base = named("paper")
+    base = protocol_by_name("paper")
     assert base.override(background="black").override(background="white") == base
     assert base.override(background="white") is not None
     assert base.override(background="white").id == "paper-v1"
@@ -70,7 +70,7 @@ def test_overriding_back_restores_id_and_digest_and_equal_values_change_nothing(
 
 
 def test_the_digest_is_the_sha256_of_canonical_json_with_the_definitions() -> None:
-    protocol = named("strict")
+    protocol = protocol_by_name("strict")
     text = protocol.canonical_json()
     assert hashlib.sha256(text.encode()).hexdigest() == protocol.digest
     content = json.loads(text)
@@ -81,24 +81,24 @@ def test_the_digest_is_the_sha256_of_canonical_json_with_the_definitions() -> No
 
 def test_the_digest_of_the_paper_protocol_is_pinned() -> None:
     """A change of this value means that numbers no longer compare with those published under paper-v1."""
-    assert named("paper").digest == "f43f01b97014fce3916b0a71838458c25179496eb6fd694b9ffddc80d2189a8f"
+    assert protocol_by_name("paper").digest == "f43f01b97014fce3916b0a71838458c25179496eb6fd694b9ffddc80d2189a8f"
 
 
 def test_a_protocol_survives_its_own_dictionary() -> None:
     for protocol in PROTOCOLS.values():
         content = json.loads(json.dumps({"id": protocol.id, "digest": protocol.digest, **protocol.as_dict()}))
-        assert from_dict(content) == protocol
+        assert protocol_from_dict(content) == protocol
 
 
 def test_unknown_names_fields_and_values_are_refused_with_the_nearest() -> None:
     with pytest.raises(InputError, match="insta-350"):
-        named("insta350")
-    with pytest.raises(InputError, match="'background'"):
-        named("paper").override(backgroud="black")
+        protocol_by_name("insta350")
+    with pytest.raises(InputError, match="did you mean background"):
+        protocol_by_name("paper").override(backgroud="black")
     with pytest.raises(InputError, match="lpips_alex"):
-        named("paper").override(metrics=("lpips_alx",), table_metrics=("lpips_alx",))
+        protocol_by_name("paper").override(metrics=("lpips_alx",), table_metrics=("lpips_alx",))
     with pytest.raises(InputError, match="not measured"):
-        named("paper").override(metrics=("psnr",))
+        protocol_by_name("paper").override(metrics=("psnr",))
     for field, value in (
         ("background", "mauve"),
         ("background", "1,2,300"),
@@ -106,21 +106,21 @@ def test_unknown_names_fields_and_values_are_refused_with_the_nearest() -> None:
         ("resolution", "0x5"),
     ):
         with pytest.raises(InputError, match=f"--{field}"):
-            named("paper").override(**{field: value})
+            protocol_by_name("paper").override(**{field: value})
     with pytest.raises(InputError, match="fields of a protocol"):
-        from_dict({"version": 1})
+        protocol_from_dict({"version": 1})
 
 
 def test_background_and_size_are_numbers() -> None:
-    protocol = named("paper").override(background="0,51,255", resolution="640x480")
+    protocol = protocol_by_name("paper").override(background="0,51,255", resolution="640x480")
     assert protocol.background_rgb == pytest.approx((0, 0.2, 1))
     assert protocol.size == (640, 480)
-    assert named("folders").background_rgb is None
-    assert named("folders").size is None
+    assert protocol_by_name("folders").background_rgb is None
+    assert protocol_by_name("folders").size is None
 
 
 def test_regions_add_masked_columns_of_metrics_that_have_them() -> None:
-    columns = named("folders").override(regions=("face",)).columns
+    columns = protocol_by_name("folders").override(regions=("face",)).columns
     assert columns == ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "psnr@face", "ssim@face", "ssim_3dgs@face")
     assert catalogue.title_of("psnr@face") == "PSNR face"
     assert catalogue.metric_of("psnr@face").arrow == "↑"

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluate.protocols.statistics import block_length, deviation_over_seeds, paired_bootstrap, summarise
+from evaluate.protocols.statistics import block_length, deviation_over_seeds, paired_bootstrap, summarize
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=60))
 def test_summary_equals_numpy(values: list[float]) -> None:
-    found = summarise(values, higher_is_better=True)
+    found = summarize(values, higher_is_better=True)
     assert found.mean == pytest.approx(np.mean(values), rel=1e-9, abs=1e-6)
     assert found.median == pytest.approx(np.median(values), rel=1e-9, abs=1e-9)
     assert found.std_over_frames == pytest.approx(np.std(values, ddof=1), rel=1e-6, abs=1e-6)
@@ -24,17 +24,17 @@ def test_summary_equals_numpy(values: list[float]) -> None:
 
 def test_the_worst_of_a_distance_is_its_largest() -> None:
     values = [float(k) for k in range(40)]
-    assert summarise(values, higher_is_better=False).worst_5_percent == 38.5
-    assert summarise(values, higher_is_better=True).worst_5_percent == 0.5
+    assert summarize(values, higher_is_better=False).worst_5_percent == 38.5
+    assert summarize(values, higher_is_better=True).worst_5_percent == 0.5
 
 
 def test_identical_and_unmeasured_frames_are_counted_apart() -> None:
-    found = summarise([30.0, math.inf, None, 32.0], higher_is_better=True)
+    found = summarize([30.0, math.inf, None, 32.0], higher_is_better=True)
     assert (found.mean, found.count, found.identical) == (31.0, 2, 1)
-    only = summarise([math.inf, math.inf], higher_is_better=True)
+    only = summarize([math.inf, math.inf], higher_is_better=True)
     assert (only.mean, only.median, only.count, only.identical) == (None, None, 0, 2)
-    assert summarise([5.0], higher_is_better=True).std_over_frames is None
-    assert summarise([], higher_is_better=True).mean is None
+    assert summarize([5.0], higher_is_better=True).std_over_frames is None
+    assert summarize([], higher_is_better=True).mean is None
 
 
 def test_blocks_span_a_second_of_source_frames_but_at_most_a_quarter() -> None:
@@ -55,7 +55,7 @@ def test_independent_frames_give_the_textbook_interval() -> None:
     assert found.is_significant
 
 
-def test_neighbouring_frames_that_err_alike_widen_the_interval() -> None:
+def test_neighboring_frames_that_err_alike_widen_the_interval() -> None:
     noise = np.random.default_rng(2).normal(size=40)
     values = np.repeat(noise, 25)
     dependent = paired_bootstrap([(range(1000), values.tolist())])

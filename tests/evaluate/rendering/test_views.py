@@ -1,7 +1,8 @@
-"""Drawing and encoding side by side: nothing lost, nothing out of order, and errors of the encoder come out."""
+"""Concurrent rendering and encoding: nothing lost, nothing out of order, and errors of the encoder are raised."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.io.images import read_rgb
 
 
-class Grey:
-    """An avatar that is nothing but a number."""
+class Gray:
+    """An avatar that is only a gray level."""
 
     def gaussians(self, drive: Drive) -> Gaussians:
         place = torch.zeros(1, 3)
@@ -32,7 +33,7 @@ class Grey:
 
 
 def paint(gaussians: Gaussians, camera: Camera, background: torch.Tensor) -> Rendering:
-    """The number as a grey."""
+    """The gray level as an image."""
     flat = torch.ones(camera.height, camera.width, 1)
     return Rendering(flat * gaussians.colors[0], flat, flat, torch.zeros(1, 2), torch.ones(1))
 
@@ -44,33 +45,33 @@ def views(count: int) -> list[View]:
 
 
 @pytest.mark.parametrize("batch", [1, 3, 8])
-def test_every_picture_is_written_and_shown_in_order(
+def test_every_image_is_written_and_encoded_in_order(
     batch: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shown: list[int] = []
+    appended: list[int] = []
 
     class Video:
-        def __enter__(self):  # type: ignore[no-untyped-def]
-            return lambda picture: shown.append(int(picture[0, 0, 0]))
+        def __enter__(self) -> Callable[[np.ndarray], None]:
+            return lambda image: appended.append(int(image[0, 0, 0]))
 
         def __exit__(self, *_: object) -> None:
-            shown.append(-1)
+            appended.append(-1)
 
     monkeypatch.setattr(render_views, "BATCH", batch)
     monkeypatch.setattr(render_views, "video_writer", lambda *_: Video())
     done: list[int] = []
     render_views.render_views(
-        Grey(), paint, views(11), Output(tmp_path, alpha=True), lambda number, _: done.append(number)
+        Gray(), paint, views(11), Output(tmp_path, alpha=True), lambda number, _: done.append(number)
     )
-    assert shown == [*range(11), -1] and done == [*range(1, 12)]
+    assert appended == [*range(11), -1] and done == [*range(1, 12)]
     assert [int(read_rgb(path)[3, 3, 1]) for path in sorted((tmp_path / "frames").glob("*.png"))] == [*range(11)]
     assert len(list((tmp_path / "rgba").glob("*.png"))) == 11
 
 
-def test_an_error_while_writing_comes_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, picture: np.ndarray) -> None:
+def test_an_error_while_writing_is_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, image: np.ndarray) -> None:
         raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr(render_views, "write_png", full)
     with pytest.raises(OSError, match="No space left"):
-        render_views.render_views(Grey(), paint, views(3), Output(tmp_path, fps=None))
+        render_views.render_views(Gray(), paint, views(3), Output(tmp_path, fps=None))

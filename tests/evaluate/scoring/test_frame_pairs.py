@@ -25,14 +25,14 @@ def test_names_may_differ_and_order_is_numeric(tmp_path: Path) -> None:
 def test_missing_and_extra_renders_are_named(tmp_path: Path) -> None:
     predictions, truth = write_folders(tmp_path, [1, 2, 3])
     (predictions / "frame_0002.png").unlink()
-    with pytest.raises(InputError, match=r"no render for 1 frames: 2 \(for example 000002.png\)"):
+    with pytest.raises(InputError, match=r"no prediction for 1 frames: 2 \(for example 000002.png\)"):
         pair_folders(predictions, truth)
     write(predictions / "frame_0002.png", pair()[1])
     write(predictions / "frame_0007.png", pair()[1])
     with pytest.raises(InputError, match="no ground truth for 1 frames: 7"):
         pair_folders(predictions, truth)
     assert [p.frame for p in pair_folders(predictions, truth, frames=[3, 1])] == [1, 3]
-    with pytest.raises(InputError, match="no render for 1 frames: 9"):
+    with pytest.raises(InputError, match="no prediction for 1 frames: 9"):
         pair_folders(predictions, truth, frames=[9])
 
 

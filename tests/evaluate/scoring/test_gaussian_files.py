@@ -1,4 +1,4 @@
-"""ggavatar-render and ggavatar-eval on files of Gaussians: drawn and scored as runs are. Reference: the run itself."""
+"""ggavatar-render and ggavatar-eval on files of Gaussians, rendered and scored like runs. Reference: the run itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 
 from evaluate.cli import evaluate as cli
 from evaluate.cli import render as render_cli
-from evaluate.rendering.standalone_file import extent, open_alone
+from evaluate.rendering.standalone_file import extent, open_standalone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.formats.gaussian_ply import write_gaussian_ply
@@ -45,7 +45,7 @@ def capture(tmp_path: Path) -> Capture:
 
 @pytest.fixture
 def plain(tmp_path: Path) -> Path:
-    """The toy avatar as it stands in frame 10."""
+    """The toy avatar as posed in frame 10."""
     run = toy_run(tmp_path / "home")
     with torch.no_grad():
         gaussians = run.avatar.gaussians(run.reader.drive(10))
@@ -77,7 +77,7 @@ def test_plain_file_is_drawn_by_a_captures_cameras(
         drawn = run.rasterize(run.avatar.gaussians(run.reader.drive(10)), camera(), torch.ones(3)).image
     expected = (drawn.clamp(0, 1) * 255).round().numpy()
     assert np.abs(read_rgb(folder / "frames" / "000010.png").astype(float) - expected).max() <= 1
-    assert np.ptp(expected) > 100, "the avatar is in the picture"
+    assert np.ptp(expected) > 100, "the avatar is in the image"
     same = read_rgb(folder / "frames" / "000015.png")
     assert np.array_equal(same, read_rgb(folder / "frames" / "000010.png")), "it stands still, the camera too"
 
@@ -101,13 +101,13 @@ def _one_ball() -> Gaussians:
 def test_orbit_without_a_capture(
     plain: Path, bound: Path, capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("evaluate.rendering.standalone_file.SIDE", 64)
+    monkeypatch.setattr("evaluate.rendering.standalone_file.IMAGE_SIDE", 64)
     orbit = ("--orbit", "--views", 3)
     assert render(monkeypatch, plain, *orbit) == 0
     folder = tmp_path / "baked" / "renders" / "orbit"
     assert len(list((folder / "frames").iterdir())) == 3 and (folder / "novel_views.png").is_file()
     front = read_rgb(folder / "frames" / "000000.png")
-    assert (front < 200).any() and (front[[0, -1]] > 240).all(), "all of it is in the picture"
+    assert (front < 200).any() and (front[[0, -1]] > 240).all(), "all of it is in the image"
     assert render(monkeypatch, bound, *orbit) == 2
     assert render(monkeypatch, bound, *orbit, "--head-model", capture.head_path) == 0
     assert render(monkeypatch, bound, *orbit, "--capture", capture.folder, "--overwrite") == 0
@@ -123,8 +123,8 @@ def test_front_camera_sees_the_face_upright(tmp_path: Path) -> None:
         torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
     )
     write_gaussian_ply(tmp_path / "balls.ply", stored(balls))
-    file = open_alone(tmp_path / "balls.ply", GaussianFileOptions(), "cpu", "reference")
-    drive, view, center = file.front()
+    file = open_standalone(tmp_path / "balls.ply", GaussianFileOptions(), "cpu", "reference")
+    drive, view, center = file.front_view()
     assert float(center.abs().max()) < 0.01 and extent(balls)[1] == pytest.approx(0.096 + 0.04, abs=1e-3)
     image = rasterize(file.avatar.gaussians(drive), view.resized(64, 64), torch.zeros(3)).image
     assert image[:32].mean((0, 1)).argmax() == 1 and image[32:].mean((0, 1)).argmax() == 0

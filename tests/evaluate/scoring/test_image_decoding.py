@@ -1,4 +1,4 @@
-"""What is not 8-bit RGB is turned into it in the open, or refused."""
+"""Images that are not 8-bit RGB are converted with a note, or refused."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def test_16_bits_are_rounded_to_the_nearest_of_256_levels(tmp_path: Path) -> Non
     found = read_scored(tmp_path / "a.png", None)
     assert found.pixels[0, 0].tolist() == [0, 1, 255]
     np.testing.assert_array_equal(found.pixels[1:], truth[1:])
-    assert found.notes == ("16-bit pictures rounded to 8 bits",)
+    assert found.notes == ("16-bit images rounded to 8 bits",)
 
 
-def test_grey_is_repeated(tmp_path: Path) -> None:
+def test_gray_is_repeated(tmp_path: Path) -> None:
     write(tmp_path / "a.png", pair()[0][..., 0])
     found = read_scored(tmp_path / "a.png", None)
     np.testing.assert_array_equal(found.pixels, np.repeat(pair()[0][..., :1], 3, axis=2))
-    assert found.notes == ("grey pictures repeated to RGB",)
+    assert found.notes == ("grayscale images repeated to RGB",)
 
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535)])
@@ -72,13 +72,13 @@ def test_damaged_empty_and_absent_files_are_refused(tmp_path: Path) -> None:
             read_scored(tmp_path / f"{name}.png", None)
 
 
-def test_weights_are_the_alpha_channel_or_the_grey_value(tmp_path: Path) -> None:
-    grey = np.array([[0, 51], [255, 102]], np.uint8)
-    write(tmp_path / "grey.png", grey)
-    write(tmp_path / "alpha.png", np.dstack((np.zeros((2, 2, 3), np.uint8), grey)))
-    write(tmp_path / "rgb.png", cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB))
-    write(tmp_path / "deep.png", grey.astype(np.uint16) * 257)
-    for name in ("grey", "alpha", "rgb", "deep"):
+def test_weights_are_the_alpha_channel_or_the_gray_value(tmp_path: Path) -> None:
+    gray = np.array([[0, 51], [255, 102]], np.uint8)
+    write(tmp_path / "gray.png", gray)
+    write(tmp_path / "alpha.png", np.dstack((np.zeros((2, 2, 3), np.uint8), gray)))
+    write(tmp_path / "rgb.png", cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB))
+    write(tmp_path / "deep.png", gray.astype(np.uint16) * 257)
+    for name in ("gray", "alpha", "rgb", "deep"):
         weights, sha256 = read_weights(tmp_path / f"{name}.png")
         np.testing.assert_allclose(weights, [[0, 0.2], [1, 0.4]], atol=1e-6)
         assert len(sha256) == 64

@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from evaluate.metrics.efficiency import model_megabytes
-from evaluate.protocols.protocol import named
-from evaluate.scoring.ground_truth import Truth
-from evaluate.scoring.predict import Job, job_of, predict_frames
+from evaluate.protocols.protocol import protocol_by_name
+from evaluate.scoring.ground_truth import GroundTruth
+from evaluate.scoring.predict import PredictionTask, predict_frames, prediction_task
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.training.run_folder import Run
 from tests.support.toy_run import HEIGHT, WIDTH, toy_run
 
-WHITE = Truth((1.0, 1.0, 1.0))
+WHITE = GroundTruth((1.0, 1.0, 1.0))
 
 
 @pytest.fixture
@@ -27,12 +27,12 @@ def run(tmp_path: Path) -> Run:
     return toy_run(tmp_path)
 
 
-def job(*frames: int, truth: Truth = WHITE) -> Job:
-    return Job(frames, truth, {"method": "toy", "step": 7})
+def task(*frames: int, truth: GroundTruth = WHITE) -> PredictionTask:
+    return PredictionTask(frames, truth, {"method": "toy", "step": 7})
 
 
 def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) -> None:
-    summary = predict_frames(run, job(10, 15, 12), tmp_path / "out")
+    summary = predict_frames(run, task(10, 15, 12), tmp_path / "out")
     for folder in ("predictions", "ground_truth", "masks"):
         assert sorted(path.name for path in (tmp_path / "out" / folder).iterdir()) == [
             "000010.png",
@@ -43,7 +43,7 @@ def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) ->
         drawn = run.rasterize(run.avatar.gaussians(run.reader.drive(12)), run.reader.camera(12), torch.ones(3)).image
     expected = np.rint(drawn.clamp(0, 1).numpy() * 255)
     assert np.array_equal(read_rgb(tmp_path / "out/predictions/000012.png"), expected)
-    assert expected.min() < 150, "the avatar is not in the picture"
+    assert expected.min() < 150, "the avatar is not in the image"
     image, mask = run.capture.image(12).astype(float), run.capture.mask(12)[..., None] / 255
     truth = read_rgb(tmp_path / "out/ground_truth/000012.png")
     assert np.abs(truth - (image * mask + 255 * (1 - mask))).max() <= 0.5 + 1e-4
@@ -54,59 +54,59 @@ def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) ->
 
 
 def test_background_size_and_binary_mask(run: Run, tmp_path: Path) -> None:
-    truth = Truth((0.0, 0.0, 0.0), (WIDTH * 2, HEIGHT * 2), binary_mask=True)
-    predict_frames(run, job(11, truth=truth), tmp_path / "out")
+    truth = GroundTruth((0.0, 0.0, 0.0), (WIDTH * 2, HEIGHT * 2), binary_mask=True)
+    predict_frames(run, task(11, truth=truth), tmp_path / "out")
     assert read_rgb(tmp_path / "out/predictions/000011.png").shape == (HEIGHT * 2, WIDTH * 2, 3)
     assert read_rgb(tmp_path / "out/predictions/000011.png")[0, 0].tolist() == [0, 0, 0]
     assert set(np.unique(read_gray(tmp_path / "out/masks/000011.png")[:, ::2])) <= {0, 64, 191, 255}
     with pytest.raises(InputError, match="distorted"):
-        predict_frames(run, job(11, truth=Truth((1.0, 1.0, 1.0), (64, 64))), tmp_path / "other")
+        predict_frames(run, task(11, truth=GroundTruth((1.0, 1.0, 1.0), (64, 64))), tmp_path / "other")
 
 
 def test_resumes_where_it_was(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    first = predict_frames(run, job(10, 11, 12), out)
+    first = predict_frames(run, task(10, 11, 12), out)
     (out / "masks/000011.png").unlink()
     kept = (out / "predictions/000010.png").stat().st_mtime_ns
     steps: list[tuple[int, int]] = []
-    second = predict_frames(run, job(10, 11, 12), out, lambda done, total: steps.append((done, total)))
+    second = predict_frames(run, task(10, 11, 12), out, lambda done, total: steps.append((done, total)))
     assert steps == [(2, 3), (3, 3)]
     assert (out / "predictions/000010.png").stat().st_mtime_ns == kept and (out / "masks/000011.png").exists()
     assert second["timing"] == first["timing"], "one warm-up frame is no measurement"
-    assert predict_frames(run, job(10, 11, 12), out) == second
+    assert predict_frames(run, task(10, 11, 12), out) == second
 
 
 def test_refuses_what_is_not_its_own(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    predict_frames(run, job(10), out)
-    with pytest.raises(InputError, match=r"differ from those asked for in frames"):
-        predict_frames(run, job(10, 11), out)
+    predict_frames(run, task(10), out)
+    with pytest.raises(InputError, match=r"differ from those requested in frames"):
+        predict_frames(run, task(10, 11), out)
     with pytest.raises(InputError, match=r"in background"):
-        predict_frames(run, job(10, truth=Truth((0.0, 0.0, 0.0))), out)
+        predict_frames(run, task(10, truth=GroundTruth((0.0, 0.0, 0.0))), out)
     with pytest.raises(InputError, match="at least one frame"):
-        predict_frames(run, job(), tmp_path / "none")
+        predict_frames(run, task(), tmp_path / "none")
     (tmp_path / "foreign/predictions").mkdir(parents=True)
     with pytest.raises(InputError, match="unknown origin"):
-        predict_frames(run, job(10), tmp_path / "foreign")
+        predict_frames(run, task(10), tmp_path / "foreign")
     (out / "predict.json").write_text("[1]")
     with pytest.raises(InputError, match="something else"):
-        predict_frames(run, job(10), out)
+        predict_frames(run, task(10), out)
 
 
-def test_a_protocol_decides_the_job(run: Run) -> None:
-    asked = job_of(run, named("paper").override(resolution="native", background="black"))
-    assert asked.frames == (10, 15) and asked.truth == Truth((0.0, 0.0, 0.0))
+def test_a_protocol_decides_the_task(run: Run) -> None:
+    asked = prediction_task(run, protocol_by_name("paper").override(resolution="native", background="black"))
+    assert asked.frames == (10, 15) and asked.truth == GroundTruth((0.0, 0.0, 0.0))
     assert asked.identity["checkpoint_sha256"] == "00" and asked.identity["split"] == "every-20th"
-    given = job_of(run, named("folders"))
+    given = prediction_task(run, protocol_by_name("folders"))
     assert given.frames == (10, 15) and given.truth.background == (1.0, 1.0, 1.0) and given.truth.size is None
 
 
 def test_refuses_test_frames_that_were_trained_on(run: Run) -> None:
     with pytest.raises(InputError, match="among its training frames"):
-        job_of(run, named("strict").override(split="ratio-0.5"))
+        prediction_task(run, protocol_by_name("strict").override(split="ratio-0.5"))
     seen = dataclasses.replace(run.split, train=run.capture.frames)
     with pytest.raises(InputError, match="among its training frames"):
-        job_of(dataclasses.replace(run, split=seen), named("paper"))
+        prediction_task(dataclasses.replace(run, split=seen), protocol_by_name("paper"))
 
 
 def test_model_size_counts_weights_and_buffers(run: Run) -> None:

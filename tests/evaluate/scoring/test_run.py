@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from evaluate.options import Options, Override
-from evaluate.protocols.protocol import named
+from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring import run as run_evaluation
 from evaluate.scoring.region_masks import frame_regions, write_region_masks
-from evaluate.scoring.run import evaluate_run, fitted
+from evaluate.scoring.run import at_capture_resolution, evaluate_run
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.training.run_folder import Run
@@ -25,7 +25,7 @@ OPTIONS = Options(no_learned=True, quiet=True, device="cpu")
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """The toy, which is opened whatever folder is named."""
+    """The toy run, opened for any folder."""
     made = toy_run(tmp_path)
     monkeypatch.setattr(run_evaluation, "open_run", lambda folder, device: made)
     monkeypatch.setattr(run_evaluation, "read_config", lambda folder: made.config)
@@ -53,15 +53,15 @@ def test_a_run_is_rendered_scored_and_labelled(run: Run) -> None:
 
 def test_results_that_are_up_to_date_are_not_made_again(run: Run) -> None:
     first, _ = evaluate_run(run.folder, OPTIONS, silent)
-    picture = run.folder / "eval" / first.protocol.id / "predictions" / f"{first.frames[0]:06d}.png"
-    before = picture.stat().st_mtime_ns
+    image = run.folder / "eval" / first.protocol.id / "predictions" / f"{first.frames[0]:06d}.png"
+    before = image.stat().st_mtime_ns
     assert evaluate_run(run.folder, OPTIONS, silent)[0] == first
-    assert picture.stat().st_mtime_ns == before
+    assert image.stat().st_mtime_ns == before
     assert evaluate_run(run.folder, dataclasses.replace(OPTIONS, again=True), silent)[0].values == first.values
-    assert picture.stat().st_mtime_ns > before
+    assert image.stat().st_mtime_ns > before
 
 
-def test_another_checkpoint_replaces_the_pictures_and_nothing_else(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_checkpoint_replaces_the_images_and_nothing_else(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     first, _ = evaluate_run(run.folder, OPTIONS, silent)
     home = run.folder / "eval" / first.protocol.id
     (home / "mine.txt").write_text("keep")
@@ -110,12 +110,12 @@ def test_the_protocol_follows_the_split_of_the_run(split: str, protocol: str) ->
 
 
 def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
-    paper = named("paper")
-    assert fitted(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
+    paper = protocol_by_name("paper")
+    assert at_capture_resolution(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
     halved = paper.override(resolution=f"{WIDTH // 2}x{HEIGHT // 2}")
-    assert fitted(halved, run) == halved
-    assert fitted(paper.override(resolution="16x16"), run).size == (WIDTH, HEIGHT)
-    assert fitted(paper.override(resolution="native"), run).size is None
+    assert at_capture_resolution(halved, run) == halved
+    assert at_capture_resolution(paper.override(resolution="16x16"), run).size == (WIDTH, HEIGHT)
+    assert at_capture_resolution(paper.override(resolution="native"), run).size is None
 
 
 def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluate.tables.format_latex import PREAMBLE, TALL, escaped, to_latex
+from evaluate.tables.format_latex import MAX_ROWS, PREAMBLE, escaped, to_latex
 from evaluate.tables.paper import NOTE, paper_table_1, paper_table_2, read_paper, with_paper
 from evaluate.tables.study import studies
 from evaluate.tables.table import BEST, DASH, SECOND, Table
@@ -183,7 +183,7 @@ def test_our_tables_compile_and_fit_the_page(tmp_path: Path, options: str) -> No
     regions = PROTOCOL.override(regions=tuple(f"part{k}" for k in range(30)))
     long = build_tables([evaluation("Anna", "ggavatar", protocol=regions)])
     tables = [*build_tables(runs, paper=True), *build_tables(runs[:4], "ablation", paper=True), *long]
-    tall = [table for table in tables if len(table.rows) > TALL]
+    tall = [table for table in tables if len(table.rows) > MAX_ROWS]
     assert {len({row.section for row in table.rows}) > 1 for table in tall} == {True, False}
     text = pdf_pages(tmp_path, tables, options)
     assert "50% of #4 & {B_b}" in text

@@ -16,10 +16,10 @@ from evaluate.tables.format_data import to_csv, to_json
 from evaluate.tables.format_html import to_page
 from evaluate.tables.format_latex import to_latex
 from evaluate.tables.format_markdown import to_markdown
-from evaluate.tables.format_terminal import parts, show
+from evaluate.tables.format_terminal import column_chunks, show
 from evaluate.tables.provenance import ranges
 from evaluate.tables.study import Study, studies
-from evaluate.tables.table import BEST, DASH, SECOND, Cell, Column, Row, Table, missing_cell, number_cell, ranks
+from evaluate.tables.table import BEST, DASH, SECOND, Cell, Column, Row, Table, missing_cell, number_cell, rank_marks
 from evaluate.tables.write import build_tables
 from ggavatar.errors import InputError
 from tests.support.evaluations import PROTOCOL, evaluation
@@ -30,21 +30,21 @@ def numbers(*values: float | None) -> list[Cell]:
 
 
 def test_best_and_second_follow_the_direction() -> None:
-    assert ranks(numbers(30.1, 28.0, 29.0), True, 2) == [BEST, "", SECOND]
-    assert ranks(numbers(30.1, 28.0, 29.0), False, 2) == ["", BEST, SECOND]
+    assert rank_marks(numbers(30.1, 28.0, 29.0), True, 2) == [BEST, "", SECOND]
+    assert rank_marks(numbers(30.1, 28.0, 29.0), False, 2) == ["", BEST, SECOND]
 
 
 def test_ties_after_rounding_share_their_mark() -> None:
-    assert ranks(numbers(30.001, 30.004, 29.0, 29.004, 28.0), True, 2) == [BEST, BEST, SECOND, SECOND, ""]
+    assert rank_marks(numbers(30.001, 30.004, 29.0, 29.004, 28.0), True, 2) == [BEST, BEST, SECOND, SECOND, ""]
 
 
 def test_missing_cells_have_no_rank_and_one_competitor_none_either() -> None:
-    assert ranks(numbers(None, 30.0, 29.0), True, 2) == ["", BEST, SECOND]
-    assert ranks(numbers(None, 30.0), True, 2) == ["", ""]
+    assert rank_marks(numbers(None, 30.0, 29.0), True, 2) == ["", BEST, SECOND]
+    assert rank_marks(numbers(None, 30.0), True, 2) == ["", ""]
 
 
 def test_identical_images_beat_every_number() -> None:
-    assert ranks([*numbers(99.0), Cell("identical"), *numbers(98.0)], True, 2) == [SECOND, BEST, ""]
+    assert rank_marks([*numbers(99.0), Cell("identical"), *numbers(98.0)], True, 2) == [SECOND, BEST, ""]
 
 
 def study() -> Study:
@@ -235,7 +235,7 @@ def test_the_terminal_shows_every_number_at_any_width(width: int) -> None:
     assert "33.50*" in text
     assert "31.50'" in text
     assert "…" not in text
-    assert sorted(place for part in parts(table, width) for place in part) == list(range(6))
+    assert sorted(place for part in column_chunks(table, width) for place in part) == list(range(6))
 
 
 def test_a_row_with_a_wrong_number_of_cells_is_our_own_mistake() -> None:

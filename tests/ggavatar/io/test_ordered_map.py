@@ -33,6 +33,22 @@ def test_only_a_few_items_are_taken_ahead() -> None:
     assert 5 <= len(taken) <= 5 + cores() + AHEAD
 
 
+@pytest.mark.parametrize(("threads", "ahead"), [(1, 0), (1, 7), (3, 2)])
+def test_threads_and_results_ahead_are_bounded(threads: int, ahead: int) -> None:
+    lock, started = threading.Lock(), set[int]()
+
+    def slow(number: int) -> int:
+        with lock:
+            started.add(number)
+        time.sleep(0.001 * (number % 3))
+        return number
+
+    for place, number in enumerate(ordered_map(slow, range(40), threads, ahead)):
+        assert number == place
+        with lock:
+            assert max(started) < place + threads + ahead
+
+
 def test_an_error_comes_at_its_items_place_and_threads_end() -> None:
     def picky(number: int) -> int:
         if number == 3:

@@ -1,4 +1,4 @@
-"""The canonical face where it is at hand, and a stand-in that needs no model file."""
+"""The canonical face where it is available, and a substitute that needs no model file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
-from preprocess.tracking.geometry.landmark_embedding import Embedding
+from preprocess.tracking.geometry.landmark_embedding import LandmarkEmbedding
 
 
 @pytest.fixture(scope="session")
@@ -28,8 +28,8 @@ def canonical(bundle: Path) -> CanonicalFace:
 
 
 @pytest.fixture(scope="session")
-def stand_in() -> tuple[CanonicalFace, Embedding]:
-    """468 vertices of the procedural head's face in place of a canonical face, and where they are on it."""
+def stand_in() -> tuple[CanonicalFace, LandmarkEmbedding]:
+    """468 vertices of the procedural head's face as a canonical face, and their embedding."""
     head = procedural_head()
     points = head.template.numpy().astype(np.float64)
     rows = head.regions["face"].numpy()
@@ -37,4 +37,4 @@ def stand_in() -> tuple[CanonicalFace, Embedding]:
     # Landmark numbers have meanings (lips, lids, …) that these points lack; what is trusted goes by height only.
     face = CanonicalFace(points[rows])
     corners = np.repeat(rows[:, None], 3, axis=1)
-    return face, Embedding(np.arange(468), corners, np.tile([1.0, 0.0, 0.0], (468, 1)))
+    return face, LandmarkEmbedding(np.arange(468), corners, np.tile([1.0, 0.0, 0.0], (468, 1)))

@@ -16,7 +16,7 @@ from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS
 
 RIGHT_EYE, LEFT_EYE = np.array([203.4, 101.2]), np.array([247.0, 103.2])
-"""Where the portrait's eyes are, px, read off the picture."""
+"""Where the portrait's eyes are, px, read off the image."""
 
 pytestmark = pytest.mark.weights
 
@@ -29,12 +29,12 @@ def test_the_portraits_eyes_are_found(bundle: Path) -> None:
     assert found.blendshapes[NAMES.index("mouthSmileLeft")] > 0.4 > found.blendshapes[NAMES.index("jawOpen")]
 
 
-def test_landmarks_follow_a_turned_and_shifted_picture(bundle: Path) -> None:
-    picture = astronaut()
-    first = LandmarkTracker(bundle).landmarks(picture)
+def test_landmarks_follow_a_turned_and_shifted_image(bundle: Path) -> None:
+    image = astronaut()
+    first = LandmarkTracker(bundle).landmarks(image)
     assert first is not None
     matrix = cv2.getRotationMatrix2D((226, 115), 25, 0.9)
-    turned = LandmarkTracker(bundle).landmarks(cv2.warpAffine(picture, matrix, (512, 512)))
+    turned = LandmarkTracker(bundle).landmarks(cv2.warpAffine(image, matrix, (512, 512)))
     assert turned is not None
     expected = first.points @ matrix[:, :2].T + matrix[:, 2]
     assert np.median(np.linalg.norm(turned.points - expected, axis=1)) < 1.5

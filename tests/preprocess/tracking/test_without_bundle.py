@@ -13,20 +13,20 @@ from ggavatar.landmarks.average_face import drawn_face
 from ggavatar.landmarks.networks import FaceFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.options import PrepOptions
-from preprocess.tracking.face.clip_fit import Clip
+from preprocess.tracking.face.clip_fit import ClipLandmarks
 from preprocess.tracking.geometry.landmark_topology import (
     LEFT_IRIS,
     LOWER_LIP_MARGIN,
     RIGHT_IRIS,
     UPPER_LIP_MARGIN,
-    anchoring,
+    surface_stability,
 )
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.tracking.head.silhouette_fit import Outlines
-from preprocess.tracking.observations import Watched
-from preprocess.tracking.pose.outline_cue import WIDTH, Edges, reduced_distances
-from preprocess.tracking.pose.texture_images import SkinPictures, skin_picture
-from preprocess.tracking.torso.torso import TorsoMotions
+from preprocess.tracking.head.silhouette_fit import OutlineMasks
+from preprocess.tracking.observations import Observations
+from preprocess.tracking.pose.outline_cue import MASK_WIDTH, OutlineDistances, signed_distances
+from preprocess.tracking.pose.texture_images import SkinImages, skin_image
+from preprocess.tracking.torso.torso import TorsoImageMotions
 from preprocess.tracking.tracker import track_landmarks
 from tests.support.freckled_face import freckled
 
@@ -47,14 +47,14 @@ def test_drawn_face_is_a_face_in_our_axes() -> None:
     assert points[10, 1] > points[1, 1] > points[13, 1] > points[152, 1]
 
 
-def test_the_edge_of_the_face_is_trusted_least() -> None:
-    trust = anchoring(drawn_face())
+def test_the_edge_of_the_face_is_least_stable() -> None:
+    trust = surface_stability(drawn_face())
     assert trust[[1, 6, 168, 33, 263]].min() > 0.9 and trust[[234, 454]] == pytest.approx(0.1)
     assert (np.diff(trust[np.argsort(np.abs(drawn_face().vertices[:, 0]))]) <= 1e-12).all()
 
 
-def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
-    """A head that turns and opens its mouth: what would be watched, its rotations and its jaw."""
+def performed(generic: GenericHead) -> tuple[Observations, np.ndarray, np.ndarray]:
+    """Observations of a head that rotates and opens its mouth, its rotations and its jaw."""
     time = np.arange(FRAMES) / 25
     rotations = (
         Rotation.from_euler("x", 180, degrees=True)
@@ -71,17 +71,19 @@ def performed(generic: GenericHead) -> tuple[Watched, np.ndarray, np.ndarray]:
     pixels = FOCAL * seen[..., :2] / seen[..., 2:] + SIZE / 2
     pictures = freckled(rest, pixels[:, :468], SIZE, np.ones(FRAMES))
     pixels += np.random.default_rng(0).normal(0, NOISE, pixels.shape)
-    clip = Clip(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
+    clip = ClipLandmarks(pixels, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (SIZE, SIZE), 25.0)
     masks = [silhouette(generic, rotation) for rotation in rotations]
-    edges = Edges(np.stack([reduced_distances(mask) for mask in masks]), WIDTH / SIZE)
-    outlines = Outlines(np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE)
-    skin = SkinPictures.of([skin_picture(*seen) for seen in zip(pictures, pixels, strict=True)])
-    motions = TorsoMotions([None] * FRAMES, [None] * FRAMES)
-    return Watched(clip, motions, outlines, edges, skin), rotations, jaw
+    edges = OutlineDistances(np.stack([signed_distances(mask) for mask in masks]), MASK_WIDTH / SIZE)
+    outlines = OutlineMasks(
+        np.array([0]), cv2.resize(masks[0], (192, 192), interpolation=cv2.INTER_AREA)[None], 192 / SIZE
+    )
+    skin = SkinImages.stack([skin_image(*seen) for seen in zip(pictures, pixels, strict=True)])
+    motions = TorsoImageMotions([None] * FRAMES, [None] * FRAMES)
+    return Observations(clip, motions, outlines, edges, skin), rotations, jaw
 
 
 def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
-    """Mask of the turned head, without its torso."""
+    """Mask of the rotated head without its torso."""
     seen = generic.vertices[generic.weights[:, 0] < 0.01] @ rotation.T + [0.0, 0.02, 1.05]
     pixels = FOCAL * seen[:, :2] / seen[:, 2:] + SIZE / 2
     mask = np.zeros((SIZE, SIZE), np.uint8)
@@ -89,7 +91,7 @@ def silhouette(generic: GenericHead, rotation: np.ndarray) -> np.ndarray:
     return mask
 
 
-def test_what_hangs_on_the_generic_heads_root_hangs_on_the_torso(generic: GenericHead) -> None:
+def test_the_torso_joint_replaces_the_root(generic: GenericHead) -> None:
     own, torso = generic.head.skinning_weights.numpy(), JOINT_NAMES.index("torso")
     np.testing.assert_allclose(generic.weights[: len(own), torso], own[:, 0], atol=1e-6)
     np.testing.assert_allclose(generic.weights.sum(axis=1), 1.0, atol=1e-6)
@@ -97,9 +99,9 @@ def test_what_hangs_on_the_generic_heads_root_hangs_on_the_torso(generic: Generi
     assert not generic.weights[:, [0, JOINT_NAMES.index("cervical")]].any()
 
 
-def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHead, tmp_path: Path) -> None:
-    watched, rotations, jaw = performed(generic)
-    found = track_landmarks(watched, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
+def test_poses_jaw_and_landmarks_are_recovered_without_scores(generic: GenericHead, tmp_path: Path) -> None:
+    observations, rotations, jaw = performed(generic)
+    found = track_landmarks(observations, drawn_face(), generic, PrepOptions(Path("clip"), tmp_path))
     turned = Rotation.from_matrix(found.tracking.world_to_camera[:, :3, :3].transpose(0, 2, 1) @ rotations)
     apart = np.degrees((turned * turned.mean().inv()).magnitude())
     assert np.median(apart) < 1.0
@@ -108,15 +110,15 @@ def test_poses_jaw_and_landmarks_come_out_of_the_motion_alone(generic: GenericHe
     assert "mediapipe" in found.report["networks"]
     assert found.head.landmark_weights is not None and len(found.head.regions["landmarks"]) == 3 * 468
     gap = np.linalg.norm(
-        watched.clip.points[:, UPPER_LIP_MARGIN[5]] - watched.clip.points[:, LOWER_LIP_MARGIN[5]], axis=1
+        observations.clip.points[:, UPPER_LIP_MARGIN[5]] - observations.clip.points[:, LOWER_LIP_MARGIN[5]], axis=1
     )
     assert np.corrcoef(gap, jaw)[0, 1] > 0.95
     assert np.corrcoef(found.tracking.joint_rotations[:, JOINT_NAMES.index("jaw"), 0], jaw)[0, 1] > 0.9
 
 
 @pytest.mark.weights
-def test_the_wheels_networks_see_the_portrait(models_folder: Path) -> None:
-    """On scikit-image's astronaut, against positions read off the picture."""
+def test_the_wheels_networks_find_the_portraits_eyes(models_folder: Path) -> None:
+    """On scikit-image's astronaut, against positions read off the image."""
     from skimage.data import astronaut
 
     names = ("face_detection_short_range.tflite", "face_landmark.tflite", "iris_landmark.tflite")

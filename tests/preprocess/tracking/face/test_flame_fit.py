@@ -14,10 +14,11 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
 from ggavatar.head.procedural.model import procedural_head
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.doctor.quality import landmark_error
 from preprocess.options import TrackingOptions
-from preprocess.tracking.face.clip_fit import Clip, FoundCamera
-from preprocess.tracking.face.expression_basis import Camera
+from preprocess.tracking.face.clip_fit import CameraEstimate, ClipLandmarks
+from preprocess.tracking.face.expression_basis import PosedCamera
 from preprocess.tracking.face.flame_fit import (
     EMBEDDING_FILE,
     FlameLandmarks,
@@ -26,9 +27,12 @@ from preprocess.tracking.face.flame_fit import (
     read_embedding,
 )
 from preprocess.tracking.flame_tracker import track_flame
+from preprocess.tracking.geometry.landmark_embedding import LandmarkEmbedding
 from preprocess.tracking.geometry.landmark_model import FaceModel
-from preprocess.tracking.geometry.rigid import Lens, Poses, project
+from preprocess.tracking.geometry.rigid import PinholeIntrinsics, RigidPoses, project_to_pixels
 from tests.support.procedural_identity import identity_basis
+
+StandIn = tuple[CanonicalFace, LandmarkEmbedding]
 
 EXPRESSIONS = 44
 FRAMES = 24
@@ -55,14 +59,14 @@ def flame_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @dataclass(frozen=True)
 class Truth:
-    """What the projected landmarks were made from."""
+    """Parameters that generated the projected landmarks."""
 
     model: FaceModel
-    camera: Camera
+    camera: PosedCamera
     jaw: np.ndarray
 
 
-def projected(flame: FlameLandmarks) -> tuple[Clip, Truth]:
+def projected(flame: FlameLandmarks) -> tuple[ClipLandmarks, Truth]:
     """Landmarks of a person who turns, speaks and opens the mouth, with noise of 0.2 px."""
     generator = np.random.default_rng(3)
     identity = np.zeros(flame.shapes.shape[2])
@@ -75,20 +79,20 @@ def projected(flame: FlameLandmarks) -> tuple[Clip, Truth]:
     facing = Rotation.from_euler("x", 180, degrees=True)
     rotations = (facing * Rotation.from_euler("xyz", angles, degrees=True)).as_matrix()
     translations = np.column_stack((generator.normal(0, 0.03, (FRAMES, 2)), generator.uniform(0.7, 0.9, FRAMES)))
-    lens, poses = Lens(900.0, (256.0, 256.0)), Poses(rotations, translations)
+    intrinsics, poses = PinholeIntrinsics(900.0, (256.0, 256.0)), RigidPoses(rotations, translations)
     points = np.zeros((FRAMES, 478, 2))
-    points[:, :468] = project(poses.to_camera(truth.shapes(coefficients, jaw)), lens)
+    points[:, :468] = project_to_pixels(poses.to_camera(truth.shapes(coefficients, jaw)), intrinsics)
     points[:, :468] += generator.normal(0, 0.2, (FRAMES, 468, 2))
-    clip = Clip(points, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (512, 512), 25.0)
-    return clip, Truth(truth, Camera(lens, poses), jaw)
+    clip = ClipLandmarks(points, np.zeros((FRAMES, 52)), np.ones(FRAMES, bool), (512, 512), 25.0)
+    return clip, Truth(truth, PosedCamera(intrinsics, poses), jaw)
 
 
-def test_recovers_identity_pose_and_jaw(flame_file: Path, stand_in) -> None:
+def test_recovers_identity_pose_and_jaw(flame_file: Path, stand_in: StandIn) -> None:
     face, embedding = stand_in
     flame = flame_landmarks(load_flame(flame_file, expressions=10_000), embedding, EXPRESSIONS)
     clip, truth = projected(flame)
     rotations, neutral = truth.camera.poses.rotations, truth.model.neutral
-    found = FoundCamera(truth.camera, neutral, np.tile(neutral, (FRAMES, 1, 1)), 0.0, 170.0, 0.0)
+    found = CameraEstimate(truth.camera, neutral, np.tile(neutral, (FRAMES, 1, 1)), 0.0, 170.0, 0.0)
 
     fit = fit_flame(clip, flame, face, found)
 
@@ -107,14 +111,14 @@ def test_embedding_of_another_topology_is_refused(flame_file: Path, tmp_path: Pa
         read_embedding(path, load_flame(flame_file))
 
 
-def test_a_head_that_is_not_flame_is_refused(tmp_path: Path, stand_in) -> None:
-    clip = Clip(np.zeros((9, 478, 2)), np.zeros((9, 52)), np.ones(9, bool), (64, 64), 25.0)
+def test_a_head_that_is_not_flame_is_refused(tmp_path: Path, stand_in: StandIn) -> None:
+    clip = ClipLandmarks(np.zeros((9, 478, 2)), np.zeros((9, 52)), np.ones(9, bool), (64, 64), 25.0)
     with pytest.raises(InputError, match="expected a FLAME model"):
         track_flame(clip, stand_in[0], tmp_path / "nothing.npz", TrackingOptions())
 
 
-def test_the_head_knows_where_its_landmarks_are(flame_file: Path, tmp_path: Path, stand_in) -> None:
-    """Every tenth landmark belongs to nothing: the doctor measures the others, and the fit's own residual agrees."""
+def test_the_head_model_holds_its_landmark_embedding(flame_file: Path, tmp_path: Path, stand_in: StandIn) -> None:
+    """The doctor measures the nine tenths of the landmarks that are embedded; the fit's own residual agrees."""
     face, embedding = stand_in
     kept = np.setdiff1d(np.arange(468), np.arange(0, 468, 10))
     model = tmp_path / flame_file.name

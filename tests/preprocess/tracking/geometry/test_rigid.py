@@ -1,4 +1,4 @@
-"""Poses against the ones that made the landmarks; smoothing against its closed-form transfer function."""
+"""Poses against those that generated the landmarks; smoothing against its closed-form transfer function."""
 
 from __future__ import annotations
 
@@ -7,60 +7,60 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from preprocess.tracking.geometry.rigid import (
-    Lens,
-    Observations,
-    Poses,
+    LandmarkObservations,
+    PinholeIntrinsics,
+    RigidPoses,
     initial_poses,
-    nearest_true,
-    pose_slopes,
-    project,
-    projection_slopes,
+    nearest_true_index,
+    pose_jacobian,
+    project_to_pixels,
+    projection_jacobian,
     refine_poses,
     smooth_steps,
 )
 from preprocess.tracking.geometry.smoothing import jitter, penalty, pose_jitter, smooth
 
-LENS = Lens(1000.0, (256.0, 256.0))
+INTRINSICS = PinholeIntrinsics(1000.0, (256.0, 256.0))
 
 
-def performance(frames: int, seed: int = 0) -> tuple[np.ndarray, Poses]:
-    """A rigid point cloud of a head's size and slow head motion about a metre away."""
+def performance(frames: int, seed: int = 0) -> tuple[np.ndarray, RigidPoses]:
+    """A rigid point cloud of a head's size and slow head motion about one meter away."""
     generator = np.random.default_rng(seed)
     shape = generator.uniform([-0.07, -0.09, 0.0], [0.07, 0.09, 0.07], (120, 3))
     time = np.arange(frames) / 25
     angles = np.stack((8 * np.sin(2.1 * time), 25 * np.sin(1.3 * time + 1), 6 * np.sin(1.7 * time)), axis=1)
     turns = Rotation.from_euler("x", 180, degrees=True) * Rotation.from_euler("xyz", angles, degrees=True)
     shifts = np.stack((0.02 * np.sin(time), 0.01 * np.cos(1.4 * time), 1 + 0.05 * np.sin(0.7 * time)), axis=1)
-    return shape, Poses(turns.as_matrix(), shifts)
+    return shape, RigidPoses(turns.as_matrix(), shifts)
 
 
-def errors(found: Poses, true: Poses) -> np.ndarray:
+def errors(found: RigidPoses, true: RigidPoses) -> np.ndarray:
     """Angles between rotations, degrees."""
     return np.degrees(Rotation.from_matrix(found.rotations.transpose(0, 2, 1) @ true.rotations).magnitude())
 
 
-def test_slopes_are_derivatives() -> None:
+def test_jacobian_against_finite_differences() -> None:
     shape, poses = performance(2)
     seen = poses.to_camera(shape[None])
-    slopes = pose_slopes(seen, poses, projection_slopes(seen, LENS.focal))
+    slopes = pose_jacobian(seen, poses, projection_jacobian(seen, INTRINSICS.focal))
     for column in range(6):
         step = np.zeros((2, 6))
         step[:, column] = 1e-6
-        ahead = project(poses.moved(step).to_camera(shape[None]), LENS)
-        behind = project(poses.moved(-step).to_camera(shape[None]), LENS)
+        ahead = project_to_pixels(poses.moved(step).to_camera(shape[None]), INTRINSICS)
+        behind = project_to_pixels(poses.moved(-step).to_camera(shape[None]), INTRINSICS)
         np.testing.assert_allclose(slopes[..., column], (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-3)
 
 
 def test_poses_survive_outliers_and_missing_frames() -> None:
     generator = np.random.default_rng(1)
     shape, true = performance(60)
-    points = project(true.to_camera(shape[None]), LENS) + generator.normal(0, 0.3, (60, 120, 2))
+    points = project_to_pixels(true.to_camera(shape[None]), INTRINSICS) + generator.normal(0, 0.3, (60, 120, 2))
     wrong = generator.random((60, 120)) < 0.15
     points[wrong] += generator.normal(0, 60, (int(wrong.sum()), 2))
     weights = np.full((60, 120), 1 / 0.3**2)
     weights[20:23] = 0.0
-    observed = Observations(points, weights)
-    found = refine_poses(observed, shape, LENS, initial_poses(observed, shape, LENS), 0.1, iterations=25)
+    observed = LandmarkObservations(points, weights)
+    found = refine_poses(observed, shape, INTRINSICS, initial_poses(observed, shape, INTRINSICS), 0.1, iterations=25)
     seen = weights[:, 0] > 0
     assert errors(found, true)[seen].max() < 0.5
     assert errors(found, true)[~seen].max() < 2.0
@@ -70,16 +70,16 @@ def test_poses_survive_outliers_and_missing_frames() -> None:
 def test_smoothing_poses_steadies_them_without_lag() -> None:
     generator = np.random.default_rng(2)
     shape, true = performance(80)
-    points = project(true.to_camera(shape[None]), LENS) + generator.normal(0, 2.0, (80, 1, 2))
+    points = project_to_pixels(true.to_camera(shape[None]), INTRINSICS) + generator.normal(0, 2.0, (80, 1, 2))
     points += generator.normal(0, 2.0, points.shape)
-    observed = Observations(points, np.full((80, 120), 0.25))
-    rough = refine_poses(observed, shape, LENS, initial_poses(observed, shape, LENS))
-    steady = refine_poses(observed, shape, LENS, rough, penalty(3.0, 25.0))
+    observed = LandmarkObservations(points, np.full((80, 120), 0.25))
+    rough = refine_poses(observed, shape, INTRINSICS, initial_poses(observed, shape, INTRINSICS))
+    steady = refine_poses(observed, shape, INTRINSICS, rough, penalty(3.0, 25.0))
     assert pose_jitter(steady)["rotation_deg"] < 0.5 * pose_jitter(rough)["rotation_deg"]
     assert errors(steady, true).mean() < errors(rough, true).mean()
-    backwards = Observations(points[::-1], observed.weights)
-    mirrored = refine_poses(backwards, shape, LENS, rough[np.arange(80)[::-1]], penalty(3.0, 25.0), iterations=20)
-    forwards = refine_poses(observed, shape, LENS, rough, penalty(3.0, 25.0), iterations=20)
+    backwards = LandmarkObservations(points[::-1], observed.weights)
+    mirrored = refine_poses(backwards, shape, INTRINSICS, rough[np.arange(80)[::-1]], penalty(3.0, 25.0), iterations=20)
+    forwards = refine_poses(observed, shape, INTRINSICS, rough, penalty(3.0, 25.0), iterations=20)
     np.testing.assert_allclose(mirrored.rotations[::-1], forwards.rotations, atol=1e-4)
 
 
@@ -109,7 +109,7 @@ def test_jitter_of_white_noise_is_its_deviation_and_of_slow_motion_nothing() -> 
 
 def test_nearest_true() -> None:
     flags = np.array([False, True, False, False, False, True, False])
-    assert nearest_true(flags).tolist() == [1, 1, 1, 1, 5, 5, 5]
+    assert nearest_true_index(flags).tolist() == [1, 1, 1, 1, 5, 5, 5]
 
 
 def test_poses_are_smoothed_where_the_median_of_their_information_is_indefinite() -> None:
@@ -121,6 +121,6 @@ def test_poses_are_smoothed_where_the_median_of_their_information_is_indefinite(
     information = np.tile(single, (5, 1, 1))
     assert np.linalg.eigvalsh(np.median(information, axis=0)).min() < -0.9
     count = len(information)
-    poses = Poses(np.tile(np.eye(3), (count, 1, 1)), np.tile([0.0, 0.0, 1.0], (count, 1)))
+    poses = RigidPoses(np.tile(np.eye(3), (count, 1, 1)), np.tile([0.0, 0.0, 1.0], (count, 1)))
     steps = smooth_steps(information, np.zeros((count, 6)), poses, 10.0)
     np.testing.assert_allclose(steps, 0.0, atol=1e-9)

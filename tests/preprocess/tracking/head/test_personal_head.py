@@ -1,4 +1,4 @@
-"""The subject's own head: landmarks where they were asked for, lids that close, an outline that follows the masks."""
+"""The subject's head model: landmark positions, closing lids, and an outline that follows the masks."""
 
 from __future__ import annotations
 
@@ -11,24 +11,27 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
+from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.geometry import landmark_topology as topology
 from preprocess.tracking.geometry.projection import posed_vertices, project, silhouette
 from preprocess.tracking.head.expression_axes import AXES
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
-from preprocess.tracking.head.personal_head import NECK_UNIT, PersonalShape, assemble, fit_shape, lid_axes
-from preprocess.tracking.head.silhouette_fit import Outlines, fit_outline, outline_overlap
+from preprocess.tracking.head.personal_head import NECK_UNIT, PersonalShape, assemble_head, fit_shape, lid_axes
+from preprocess.tracking.head.silhouette_fit import OutlineMasks, fit_silhouette, silhouette_overlap
 
 pytestmark = pytest.mark.weights
 
+Person = tuple[HeadModel, PersonalShape]
+
 
 @pytest.fixture(scope="module")
-def generic(canonical) -> GenericHead:
+def generic(canonical: CanonicalFace) -> GenericHead:
     return generic_head(canonical)
 
 
 @pytest.fixture(scope="module")
 def neutral(generic: GenericHead) -> np.ndarray:
-    """Landmarks of a made-up person: the generic ones, longer, with a broad nose."""
+    """Landmarks of a synthetic person: the generic ones, longer, with a broad nose."""
     points = generic.landmarks @ generic.vertices
     points[:, 1] *= 1.08
     points[:, 0] *= 1 + 0.1 * np.exp(-(((points[:, 2] - 0.06) / 0.02) ** 2))
@@ -36,13 +39,15 @@ def neutral(generic: GenericHead) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def person(generic: GenericHead, neutral: np.ndarray) -> tuple[HeadModel, PersonalShape]:
+def person(generic: GenericHead, neutral: np.ndarray) -> Person:
     shape = fit_shape(generic, neutral)
     named = (generic.landmarks @ generic.axes.reshape(len(generic.vertices), -1)).reshape(468, 3, -1)
-    return assemble(generic, shape, named, np.zeros((468, 3, 2)), lid_axes(neutral, shape)), shape
+    return assemble_head(generic, shape, named, np.zeros((468, 3, 2)), lid_axes(neutral, shape)), shape
 
 
-def test_landmarks_lie_on_the_generic_face_where_the_canonical_ones_do(generic: GenericHead, canonical) -> None:
+def test_landmarks_lie_on_the_generic_face_where_the_canonical_ones_do(
+    generic: GenericHead, canonical: CanonicalFace
+) -> None:
     placed = generic.landmarks @ generic.vertices
     apart = np.linalg.norm(placed - canonical.vertices, axis=1)
     assert np.median(apart) < 0.008 and apart.max() < 0.02
@@ -51,16 +56,16 @@ def test_landmarks_lie_on_the_generic_face_where_the_canonical_ones_do(generic: 
     assert np.isin(generic.embedding.corners[topology.LEFT_UPPER_LID], eyes).any(axis=1).all()
 
 
-def test_template_passes_through_the_neutral_landmarks(generic: GenericHead, neutral: np.ndarray, person) -> None:
+def test_template_passes_through_neutral_landmarks(generic: GenericHead, neutral: np.ndarray, person: Person) -> None:
     head, _ = person
     missed = np.linalg.norm(generic.landmarks @ head.template.numpy() - neutral, axis=1)
     assert np.median(missed) < 0.0005 and np.percentile(missed, 95) < 0.002
     assert head.version == "tracked-2"
-    assert head.expression_basis.shape[2] == len(AXES) + 2 + 1, "named, own, the neck's length"
+    assert head.expression_basis.shape[2] == len(AXES) + 2 + 1, "named, personal, the neck's length"
     np.testing.assert_allclose(head.skinning_weights.sum(dim=1).numpy(), 1, atol=1e-5)
 
 
-def test_joints_are_where_the_shape_says_and_no_facial_expression_moves_them(person) -> None:
+def test_joints_are_where_the_shape_says_and_no_facial_expression_moves_them(person: Person) -> None:
     head, shape = person
     rest = (head.joint_regressor @ head.template).numpy()
     np.testing.assert_allclose(rest, shape.joints, atol=1e-5)
@@ -68,7 +73,7 @@ def test_joints_are_where_the_shape_says_and_no_facial_expression_moves_them(per
     assert float(moved[..., :-1].abs().max()) < 2e-4
 
 
-def test_a_longer_neck_lowers_the_torso_with_its_joint_and_nothing_of_the_head(generic: GenericHead, person) -> None:
+def test_a_longer_neck_lowers_only_the_torso_and_its_joint(generic: GenericHead, person: Person) -> None:
     head, shape = person
     arm = shape.joints[JOINT_NAMES.index("torso")] - shape.joints[JOINT_NAMES.index("cervical")]
     down = NECK_UNIT * arm / np.linalg.norm(arm)
@@ -83,7 +88,7 @@ def test_a_longer_neck_lowers_the_torso_with_its_joint_and_nothing_of_the_head(g
         assert np.abs(moved[head.joint(name)]).max() < 2e-4, name
 
 
-def test_closed_lids_meet(generic: GenericHead, person) -> None:
+def test_closed_lids_meet(generic: GenericHead, person: Person) -> None:
     head, _ = person
     drive = dataclasses.replace(head.neutral_drive(), eyelids=torch.ones(2))
     for lids, side in (
@@ -98,7 +103,7 @@ def test_closed_lids_meet(generic: GenericHead, person) -> None:
         assert (closed < 0.3 * opened).all(), side
 
 
-def test_torso_joint_leaves_the_head_alone(generic: GenericHead, person) -> None:
+def test_torso_joint_leaves_the_head_alone(generic: GenericHead, person: Person) -> None:
     head, _ = person
     turns = torch.zeros(len(head.parents), 3)
     turns[head.joint("cervical"), 0], turns[head.joint("torso"), 1] = 0.2, 0.1
@@ -109,7 +114,7 @@ def test_torso_joint_leaves_the_head_alone(generic: GenericHead, person) -> None
     assert float(moved[generic.regions["torso"]].min()) > 0.005
 
 
-def test_outline_follows_the_masks_and_the_face_stays(generic: GenericHead, person) -> None:
+def test_outline_follows_the_masks_and_the_face_stays(generic: GenericHead, person: Person) -> None:
     head, _ = person
     rows, size = np.arange(4), 192
     pose = np.tile(np.eye(4), (4, 1, 1))
@@ -128,10 +133,10 @@ def test_outline_follows_the_masks_and_the_face_stays(generic: GenericHead, pers
         vertices = posed_vertices(dataclasses.replace(head, template=hairy), tracking, int(row))
         pixels, depths = project(vertices, intrinsics[row], pose[row])
         masks.append(silhouette(pixels, depths, generic.faces, (size, size)).astype(np.uint8) * 255)
-    outlines = Outlines(rows, np.stack(masks), 1.0)
-    template = fit_outline(head, generic, tracking, outlines)
+    outlines = OutlineMasks(rows, np.stack(masks), 1.0)
+    template = fit_silhouette(head, generic, tracking, outlines)
     fitted = dataclasses.replace(head, template=torch.tensor(template, dtype=torch.float32))
-    before, after = outline_overlap(head, tracking, outlines), outline_overlap(fitted, tracking, outlines)
+    before, after = silhouette_overlap(head, tracking, outlines), silhouette_overlap(fitted, tracking, outlines)
     assert 1 - after < 0.5 * (1 - before)
     face = generic.regions["face"]
     assert np.median(np.linalg.norm(template[face] - head.template.numpy()[face], axis=1)) < 0.002

@@ -1,4 +1,4 @@
-"""Poses held by the skin's texture, against a drawn face whose poses are known and landmarks that slide on it."""
+"""The texture cue and the pitch-bias correction on a synthetic face with known poses and sliding landmarks."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from scipy.spatial.transform import Rotation
 
 from ggavatar.landmarks.average_face import drawn_face
 from ggavatar.landmarks.bundle import CanonicalFace
-from preprocess.tracking.geometry.landmark_topology import MESH_POINTS, anchoring, lids, rigidity
-from preprocess.tracking.geometry.rigid import Lens, Observations, Poses, project
-from preprocess.tracking.pose.fusion import LandmarkEvidence, settle, trusted_landmarks
-from preprocess.tracking.pose.landmark_nod_bias import NoddingLandmarks, hidden_share, nods
-from preprocess.tracking.pose.texture_cue import SkinEvidence, face_spots, usual
-from preprocess.tracking.pose.texture_images import SIDE, STEPS, SkinPictures, skin_picture
+from preprocess.tracking.geometry.landmark_topology import MESH_POINTS, lids, rigidity, surface_stability
+from preprocess.tracking.geometry.rigid import LandmarkObservations, PinholeIntrinsics, RigidPoses, project_to_pixels
+from preprocess.tracking.pose.fusion import LandmarkCue, effective_observations, fuse_poses
+from preprocess.tracking.pose.landmark_pitch_bias import PitchBiasedLandmarkCue, pitch_angles, underreported_pitch
+from preprocess.tracking.pose.texture_cue import TextureCue, robust_mean, skin_patches
+from preprocess.tracking.pose.texture_images import CONTRAST_STEPS, IMAGE_SIDE, SkinImages, skin_image
 from tests.support.freckled_face import freckled
 
 SIZE, FRAMES = 256, 16
-LENS = Lens(1000.0, (128.0, 128.0))
-NOD = np.sin(np.linspace(0, 2 * np.pi, FRAMES))
-SHAKE = 15 * np.cos(np.linspace(0, 4 * np.pi, FRAMES))
-HIDDEN = 0.25
-"""Share of a nod that the landmarks of these tests hide, as those of the network do.
+INTRINSICS = PinholeIntrinsics(1000.0, (128.0, 128.0))
+PITCH = np.sin(np.linspace(0, 2 * np.pi, FRAMES))
+YAW = 15 * np.cos(np.linspace(0, 4 * np.pi, FRAMES))
+PITCH_BIAS = 0.25
+"""Share of the pitch that the landmarks of these tests under-report, as those of the network do.
 
 Measured in docs/experiments/2026-11-29-skin-texture-pose-cue.md.
 """
@@ -34,164 +34,170 @@ def face() -> CanonicalFace:
     return drawn_face()
 
 
-def posed(nod: np.ndarray, shake: np.ndarray | float = 0.0) -> Poses:
-    """A head a metre away that nods and shakes so many degrees."""
+def posed(pitch: np.ndarray, yaw: np.ndarray | float = 0.0) -> RigidPoses:
+    """A head one meter away with pitch and yaw in degrees."""
     facing = Rotation.from_euler("x", 180, degrees=True)
-    turns = Rotation.from_euler("yx", np.stack((shake + 0 * nod, nod), axis=1), degrees=True)
-    return Poses((facing * turns).as_matrix(), np.tile([0.0, 0.0, 1.0], (len(nod), 1)))
+    turns = Rotation.from_euler("yx", np.stack((yaw + 0 * pitch, pitch), axis=1), degrees=True)
+    return RigidPoses((facing * turns).as_matrix(), np.tile([0.0, 0.0, 1.0], (len(pitch), 1)))
 
 
-def errors(poses: Poses, truth: Poses) -> np.ndarray:
-    """Degrees, without what is the same in all frames."""
+def errors(poses: RigidPoses, truth: RigidPoses) -> np.ndarray:
+    """Rotation errors without their constant part, degrees."""
     apart = Rotation.from_matrix(poses.rotations.transpose(0, 2, 1) @ truth.rotations)
     return np.degrees((apart.mean().inv() * apart).magnitude())
 
 
 @pytest.fixture(scope="module")
-def nodding(face: CanonicalFace) -> tuple[Poses, Poses, SkinEvidence, LandmarkEvidence]:
-    """True poses, those that sliding landmarks tell, and the evidence of both kinds."""
-    truth, told = posed(8 * NOD), posed(8 * (1 - HIDDEN) * NOD)
-    landmarks = project(told.to_camera(face.vertices[None]), LENS)
+def nodding(face: CanonicalFace) -> tuple[RigidPoses, RigidPoses, TextureCue, LandmarkCue]:
+    """True poses, those that sliding landmarks report, and both cues."""
+    truth, reported = posed(8 * PITCH), posed(8 * (1 - PITCH_BIAS) * PITCH)
+    landmarks = project_to_pixels(reported.to_camera(face.vertices[None]), INTRINSICS)
     light = 1 - 0.2 * np.cos(np.arange(FRAMES))
-    pictures = freckled(face.vertices, project(truth.to_camera(face.vertices[None]), LENS), SIZE, light)
-    skin = SkinPictures.of([skin_picture(image, points) for image, points in zip(pictures, landmarks, strict=True)])
+    images = freckled(face.vertices, project_to_pixels(truth.to_camera(face.vertices[None]), INTRINSICS), SIZE, light)
+    skin = SkinImages.stack([skin_image(image, points) for image, points in zip(images, landmarks, strict=True)])
     shapes, seen = np.tile(face.vertices, (FRAMES, 1, 1)), np.ones(FRAMES, bool)
-    observed = Observations(landmarks, np.tile(rigidity(face) * anchoring(face), (FRAMES, 1)))
-    evidence = LandmarkEvidence(trusted_landmarks(observed, 155.0), shapes, LENS)
-    return truth, told, SkinEvidence(skin, face_spots(face), shapes, seen, LENS), evidence
+    observed = LandmarkObservations(landmarks, np.tile(rigidity(face) * surface_stability(face), (FRAMES, 1)))
+    landmark_cue = LandmarkCue(effective_observations(observed, 155.0), shapes, INTRINSICS)
+    return truth, reported, TextureCue(skin, skin_patches(face), shapes, seen, INTRINSICS), landmark_cue
 
 
-def test_spots_cover_the_face_but_not_the_eyes(face: CanonicalFace) -> None:
-    spots = face_spots(face)
-    np.testing.assert_allclose(spots.weights.sum(axis=1), 1.0)
-    assert (spots.weights > 0).all() and len(spots.trust) > 500
-    assert not np.isin(spots.corners, lids()).all(axis=1).any()
-    assert spots.corners.max() < MESH_POINTS and (spots.trust > 0).all() and (spots.trust <= 1).all()
-    corners = face.vertices[spots.corners]
+def test_patches_cover_the_face_but_not_the_eyes(face: CanonicalFace) -> None:
+    patches = skin_patches(face)
+    np.testing.assert_allclose(patches.weights.sum(axis=1), 1.0)
+    assert (patches.weights > 0).all() and len(patches.rigidity) > 500
+    assert not np.isin(patches.corners, lids()).all(axis=1).any()
+    assert patches.corners.max() < MESH_POINTS and (patches.rigidity > 0).all() and (patches.rigidity <= 1).all()
+    corners = face.vertices[patches.corners]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (outward[:, 2] > 0).all()
 
 
-def test_a_picture_knows_where_it_is_and_how_contrast_changes() -> None:
+def test_sampled_contrast_and_its_gradient() -> None:
     ramp = np.tile(np.arange(SIZE, dtype=np.float32), (SIZE, 1))
     waves = (128 + 60 * np.sin(ramp / 4)).astype(np.uint8)
     points = np.array([[60.0, 70.0], [180.0, 170.0]])
-    pictures = SkinPictures.of([skin_picture(np.repeat(waves[..., None], 3, axis=2), points)])
+    images = SkinImages.stack([skin_image(np.repeat(waves[..., None], 3, axis=2), points)])
     places = np.stack((np.linspace(80, 160, 60), np.full(60, 120.3)), axis=1)[None]
-    looks, slopes, known = pictures.sampled(np.array([0]), places)
-    shifted, _, _ = pictures.sampled(np.array([0]), places + np.array([0.01, 0.0]))
+    intensities, slopes, known = images.sample(np.array([0]), places)
+    shifted, _, _ = images.sample(np.array([0]), places + np.array([0.01, 0.0]))
     assert known.all()
-    assert np.corrcoef(looks[0], np.sin((places[0, :, 0] - 0.5) / 4))[0, 1] > 0.98
-    np.testing.assert_allclose((shifted - looks)[0] / 0.01, slopes[0, :, 0], atol=0.02, rtol=0.05)
+    assert np.corrcoef(intensities[0], np.sin((places[0, :, 0] - 0.5) / 4))[0, 1] > 0.98
+    np.testing.assert_allclose((shifted - intensities)[0] / 0.01, slopes[0, :, 0], atol=0.02, rtol=0.05)
     assert np.abs(slopes[..., 1]).max() < 0.05
 
 
-def test_light_does_not_change_contrast() -> None:
+def test_illumination_does_not_change_contrast() -> None:
     generator = np.random.default_rng(0)
     image = np.repeat(generator.integers(60, 120, (SIZE, SIZE, 1)), 3, axis=2).astype(np.uint8)
     points = np.array([[50.0, 50.0], [200.0, 200.0]])
-    dark, bright = (skin_picture(picture, points).contrast for picture in (image, 2 * image))
-    assert np.abs(dark.astype(int) - bright).mean() < 0.1 * STEPS
+    dark, bright = (skin_image(frame, points).contrast for frame in (image, 2 * image))
+    assert np.abs(dark.astype(int) - bright).mean() < 0.1 * CONTRAST_STEPS
 
 
-def test_where_there_is_no_face_the_picture_is_empty_and_a_face_at_the_edge_is_padded() -> None:
+def test_the_skin_image_is_empty_without_a_face_and_padded_at_the_border() -> None:
     image = np.random.default_rng(0).integers(0, 255, (SIZE, SIZE, 3)).astype(np.uint8)
-    assert not skin_picture(image, None).contrast.any()
-    outside = skin_picture(image, np.array([[-300.0, -300.0], [-100.0, -100.0]]))
-    assert outside.contrast.shape == (SIDE, SIDE) and not outside.contrast.any()
-    assert skin_picture(image, np.array([[-40.0, 200.0], [60.0, 300.0]])).contrast.any()
+    assert not skin_image(image, None).contrast.any()
+    outside = skin_image(image, np.array([[-300.0, -300.0], [-100.0, -100.0]]))
+    assert outside.contrast.shape == (IMAGE_SIDE, IMAGE_SIDE) and not outside.contrast.any()
+    assert skin_image(image, np.array([[-40.0, 200.0], [60.0, 300.0]])).contrast.any()
 
 
-def test_nods_that_landmarks_hide_are_found_by_the_skin(nodding: tuple) -> None:
-    truth, told, skin, landmarks = nodding
-    found = settle((skin, landmarks), told, 0.0)
-    assert errors(told, truth).max() > 1.5
-    assert errors(found, truth).max() < 0.5 * errors(told, truth).max()
+def test_texture_recovers_the_pitch_that_landmarks_under_report(nodding: tuple) -> None:
+    truth, reported, skin, landmarks = nodding
+    found = fuse_poses((skin, landmarks), reported, 0.0)
+    assert errors(reported, truth).max() > 1.5
+    assert errors(found, truth).max() < 0.5 * errors(reported, truth).max()
 
 
 @dataclass(frozen=True)
-class Told:
-    """Evidence that knows the poses, but not well."""
+class WeakCue:
+    """A cue with the true poses and a large variance."""
 
-    poses: Poses
-    trust: float
+    poses: RigidPoses
+    precision: float
 
-    def information(self, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
+    def information(self, poses: RigidPoses) -> tuple[np.ndarray, np.ndarray]:
         turns = Rotation.from_matrix(self.poses.rotations @ poses.rotations.transpose(0, 2, 1)).as_rotvec()
         steps = np.concatenate((turns, self.poses.translations - poses.translations), axis=1)
-        return np.tile(self.trust * np.eye(6), (FRAMES, 1, 1)), self.trust * steps
+        return np.tile(self.precision * np.eye(6), (FRAMES, 1, 1)), self.precision * steps
 
-    def corrected(self, poses: Poses) -> Told:
+    def refined(self, poses: RigidPoses) -> WeakCue:
         return self
 
 
-def many(observed: Observations) -> Observations:
-    """Worth as much as those of a clip of a hundred times as many frames: what is hidden is the clip's."""
-    return Observations(observed.points, 100 * observed.weights)
+def longer_clip(observed: LandmarkObservations) -> LandmarkObservations:
+    """Landmarks with the information of a clip of a hundred times as many frames, over which the bias is constant."""
+    return LandmarkObservations(observed.points, 100 * observed.weights)
 
 
-def test_a_hidden_share_of_nods_is_learnt_from_true_poses(nodding: tuple) -> None:
-    truth, told, _, landmarks = nodding
-    evidence = NoddingLandmarks(replace(landmarks, observed=many(landmarks.observed)))
+def test_the_pitch_bias_is_estimated_from_true_poses(nodding: tuple) -> None:
+    truth, reported, _, landmarks = nodding
+    cue = PitchBiasedLandmarkCue(replace(landmarks, observed=longer_clip(landmarks.observed)))
     for _ in range(12):
-        evidence = evidence.corrected(truth)
-    np.testing.assert_allclose(evidence.hidden, [-HIDDEN, 0, 0, 0, 0, 0], atol=0.01)
-    assert hidden_share(told, truth) == pytest.approx(HIDDEN, abs=0.01)
+        cue = cue.refined(truth)
+    np.testing.assert_allclose(cue.bias, [-PITCH_BIAS, 0, 0, 0, 0, 0], atol=0.01)
+    assert underreported_pitch(reported, truth) == pytest.approx(PITCH_BIAS, abs=0.01)
 
 
-def test_weak_evidence_suffices_to_take_nods_back(nodding: tuple) -> None:
-    """Against landmarks whose nods are taken as they are it hardly counts."""
-    truth, told, _, landmarks = nodding
-    landmarks = replace(landmarks, observed=many(landmarks.observed))
-    weak = Told(truth, 0.05 * float(np.median(landmarks.information(truth)[0][:, 0, 0])))
-    plain, found = (settle((weak, one), told, 0.0) for one in (landmarks, NoddingLandmarks(landmarks)))
-    assert errors(plain, truth).max() > 0.3 * errors(told, truth).max()
+def test_a_weak_cue_suffices_to_correct_the_pitch_bias(nodding: tuple) -> None:
+    """It hardly counts against landmarks without a bias model."""
+    truth, reported, _, landmarks = nodding
+    landmarks = replace(landmarks, observed=longer_clip(landmarks.observed))
+    weak = WeakCue(truth, 0.05 * float(np.median(landmarks.information(truth)[0][:, 0, 0])))
+    plain, found = (fuse_poses((weak, one), reported, 0.0) for one in (landmarks, PitchBiasedLandmarkCue(landmarks)))
+    assert errors(plain, truth).max() > 0.3 * errors(reported, truth).max()
     assert errors(found, truth).max() < 0.5 * errors(plain, truth).max()
 
 
-def test_nods_are_the_turn_about_the_cameras_x_axis_from_the_average() -> None:
-    np.testing.assert_allclose(nods(posed(8 * NOD + 3)), np.radians(8 * NOD), atol=1e-6)
+def test_pitch_angles_are_rotations_about_the_cameras_x_axis_from_the_mean() -> None:
+    np.testing.assert_allclose(pitch_angles(posed(8 * PITCH + 3)), np.radians(8 * PITCH), atol=1e-6)
 
 
-def test_without_nods_nothing_is_taken_for_hidden(nodding: tuple) -> None:
-    """Heads that only shake leave the prior's zero, though landmarks are off at random."""
+def test_without_pitch_the_bias_stays_zero(nodding: tuple) -> None:
+    """A head that only yaws leaves the bias at the prior's mean, in spite of landmark noise."""
     _, _, _, landmarks = nodding
-    still = posed(np.zeros(FRAMES), SHAKE)
+    still = posed(np.zeros(FRAMES), YAW)
     noise = np.random.default_rng(0).normal(0, 0.5, (FRAMES, MESH_POINTS, 2))
-    observed = Observations(project(still.to_camera(landmarks.shapes), LENS) + noise, landmarks.observed.weights)
-    evidence = NoddingLandmarks(LandmarkEvidence(observed, landmarks.shapes, LENS))
-    assert np.abs(evidence.corrected(still).hidden).max() < 1e-3
+    observed = LandmarkObservations(
+        project_to_pixels(still.to_camera(landmarks.shapes), INTRINSICS) + noise, landmarks.observed.weights
+    )
+    cue = PitchBiasedLandmarkCue(LandmarkCue(observed, landmarks.shapes, INTRINSICS))
+    assert np.abs(cue.refined(still).bias).max() < 1e-3
 
 
-def test_spots_learn_how_far_they_stand_before_the_skin(face: CanonicalFace) -> None:
+def test_patch_depths_are_estimated_from_parallax(face: CanonicalFace) -> None:
     """A texture that lies on a deeper face than the landmarks' surface, seen from several sides in known poses."""
     factor = 1.5
     depth = face.vertices[:, 2] - face.vertices[:, 2].mean()
     real = face.vertices + (factor - 1) * depth[:, None] * [0.0, 0.0, 1.0]
-    truth = posed(8 * NOD, SHAKE)
-    pixels = project(truth.to_camera(real[None]), LENS)
-    pictures = freckled(real, pixels, SIZE, np.ones(FRAMES))
-    skin = SkinPictures.of([skin_picture(image, points) for image, points in zip(pictures, pixels, strict=True)])
-    evidence = SkinEvidence(skin, face_spots(face), np.tile(face.vertices, (FRAMES, 1, 1)), np.ones(FRAMES, bool), LENS)
+    truth = posed(8 * PITCH, YAW)
+    pixels = project_to_pixels(truth.to_camera(real[None]), INTRINSICS)
+    images = freckled(real, pixels, SIZE, np.ones(FRAMES))
+    skin = SkinImages.stack([skin_image(image, points) for image, points in zip(images, pixels, strict=True)])
+    cue = TextureCue(
+        skin, skin_patches(face), np.tile(face.vertices, (FRAMES, 1, 1)), np.ones(FRAMES, bool), INTRINSICS
+    )
     for _ in range(6):
-        evidence = evidence.corrected(truth)
-    spots = evidence.spots
-    where = (spots.weights[..., None] * face.vertices[spots.corners]).sum(axis=1)
-    inner = (np.abs(where[:, 0]) < 0.05) & (np.abs(where[:, 1]) < 0.06) & (spots.trust > 0.3)
+        cue = cue.refined(truth)
+    patches = cue.patches
+    where = (patches.weights[..., None] * face.vertices[patches.corners]).sum(axis=1)
+    inner = (np.abs(where[:, 0]) < 0.05) & (np.abs(where[:, 1]) < 0.06) & (patches.rigidity > 0.3)
     wanted = (factor - 1) * (where[:, 2] - face.vertices[:, 2].mean())[inner]
-    found = (spots.modes @ evidence.depths)[inner]
+    found = (patches.modes @ cue.depths)[inner]
     left = (found - found.mean()) - (wanted - wanted.mean())
     assert np.abs(left).mean() < 0.5 * np.abs(wanted - wanted.mean()).mean()
 
 
 def test_true_poses_stay(nodding: tuple) -> None:
     truth, _, skin, landmarks = nodding
-    observed = Observations(project(truth.to_camera(landmarks.shapes), LENS), landmarks.observed.weights)
-    right = LandmarkEvidence(observed, landmarks.shapes, LENS)
-    assert errors(settle((skin, right), truth, 0.0), truth).max() < 0.6
+    observed = LandmarkObservations(
+        project_to_pixels(truth.to_camera(landmarks.shapes), INTRINSICS), landmarks.observed.weights
+    )
+    right = LandmarkCue(observed, landmarks.shapes, INTRINSICS)
+    assert errors(fuse_poses((skin, right), truth, 0.0), truth).max() < 0.6
 
 
-def test_one_displaced_frame_is_told_where_to_go(nodding: tuple) -> None:
+def test_a_displaced_frame_is_moved_back(nodding: tuple) -> None:
     """The Gauss–Newton step of a frame shifted by 0.3 mm (a third of a pixel) takes it back; the others stay."""
     truth, _, skin, _ = nodding
     shift = np.zeros((FRAMES, 6))
@@ -203,13 +209,13 @@ def test_one_displaced_frame_is_told_where_to_go(nodding: tuple) -> None:
     assert np.abs(others).max() < 1e-4
 
 
-def test_looks_that_few_frames_show_are_not_usual() -> None:
-    looks = np.array([[1.0], [1.1], [0.9], [-3.0], [1.0]])
-    assert usual(looks, np.ones((5, 1)))[0] == pytest.approx(1.0, abs=0.05)
+def test_the_robust_mean_ignores_outliers() -> None:
+    intensities = np.array([[1.0], [1.1], [0.9], [-3.0], [1.0]])
+    assert robust_mean(intensities, np.ones((5, 1)))[0] == pytest.approx(1.0, abs=0.05)
 
 
-def test_frames_without_a_face_tell_nothing(nodding: tuple) -> None:
+def test_frames_without_a_face_have_no_information(nodding: tuple) -> None:
     truth, _, skin, _ = nodding
     seen = np.arange(FRAMES) != 3
-    information, gradient = SkinEvidence(skin.pictures, skin.spots, skin.shapes, seen, LENS).information(truth)
+    information, gradient = TextureCue(skin.images, skin.patches, skin.shapes, seen, INTRINSICS).information(truth)
     assert not information[3].any() and not gradient[3].any() and information[4].any()

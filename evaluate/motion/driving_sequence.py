@@ -1,4 +1,4 @@
-"""A performance as plain arrays: what drives an avatar, whoever performed it. Numpy only."""
+"""A driving sequence: the head parameters and cameras that drive an avatar, as plain numpy arrays."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ggavatar.io.npz import read_npz
 
 @dataclass(frozen=True)
 class Cameras:
-    """Where T frames of a performance are seen from.
+    """Cameras of T frames.
 
     Attributes:
         world_to_camera: Rigid, OpenCV axes, m.
-        intrinsics: px of pictures of `size`.
-        size: Width and height of the pictures, px.
+        intrinsics: Camera matrices for images of `size`, px.
+        size: Width and height of the images, px.
     """
 
     world_to_camera: Float[np.ndarray, "T 4 4"]
@@ -29,29 +29,29 @@ class Cameras:
     size: tuple[int, int]
 
     def rows(self, chosen: np.ndarray | slice) -> Cameras:
-        """Some of the frames."""
+        """The cameras of some frames."""
         return Cameras(self.world_to_camera[chosen], self.intrinsics[chosen], self.size)
 
-    def metres_across(self) -> float:
-        """Width of what the first frame's picture shows at the distance of the head, m."""
+    def view_width(self) -> float:
+        """Width of the first frame's field of view at the distance of the head, m."""
         depth = max(abs(float(self.world_to_camera[0, 2, 3])), 1e-6)
         return depth * self.size[0] / float(self.intrinsics[0, 0, 0])
 
 
 @dataclass(frozen=True)
-class Motion:
-    """T frames of head parameters and, where known, cameras.
+class DrivingSequence:
+    """T frames of head parameters and, if known, cameras.
 
     Attributes:
         expression: Coefficients of the basis named by `head_version`.
         joint_rotations: Axis-angle in the order of `joint_names`, rad.
-        eyelids: Closing of the left and right lid, 0 open.
-        translation: Of the posed head, m.
+        eyelids: Closure of the left and right eyelid, 0 open.
+        translation: Translation of the posed head, m.
         cameras: None if the source has none.
         frames: Source frame numbers.
         fps: Frames per second of the source.
-        joint_names: As in the head model.
-        head_version: Tag of the parameter space.
+        joint_names: Names as in the head model.
+        head_version: Version tag of the parameter space.
     """
 
     expression: Float[np.ndarray, "T E"]
@@ -64,8 +64,8 @@ class Motion:
     joint_names: tuple[str, ...]
     head_version: str
 
-    def rows(self, chosen: np.ndarray | slice) -> Motion:
-        """Some of the frames."""
+    def rows(self, chosen: np.ndarray | slice) -> DrivingSequence:
+        """The sequence restricted to some frames."""
         return dataclasses.replace(
             self,
             expression=self.expression[chosen],
@@ -77,17 +77,17 @@ class Motion:
         )
 
     def row(self, frame: int) -> int:
-        """Row of a source frame; `InputError` if there is none."""
+        """Row of a source frame number; `InputError` if there is no such frame."""
         if frame not in self.frames:
             raise InputError(f"expected a frame from {self.frames[0]} to {self.frames[-1]}, found no frame {frame}")
         return self.frames.index(frame)
 
 
-def motion_of(capture: Capture) -> Motion:
-    """The tracked performance of a capture."""
+def driving_sequence_of(capture: Capture) -> DrivingSequence:
+    """The tracking of a capture as a driving sequence."""
     tracking = capture.tracking
     names = read_npz(capture.head_path, ["joint_names"])["joint_names"]
-    return Motion(
+    return DrivingSequence(
         expression=tracking.expression.astype(np.float64),
         joint_rotations=tracking.joint_rotations.astype(np.float64),
         eyelids=tracking.eyelids.astype(np.float64),
@@ -104,24 +104,28 @@ def motion_of(capture: Capture) -> Motion:
     )
 
 
-def read_motion(path: Path) -> Motion:
-    """A performance from a capture folder or from an npz file (docs/rendering.md).
+def read_driving_sequence(path: Path) -> DrivingSequence:
+    """Read a driving sequence from a capture folder or an .npz file (docs/rendering.md).
 
     Raises:
-        InputError: It is neither, or an array is missing, of the wrong shape or not finite.
+        InputError: Neither of the two, or an array is missing, has the wrong shape or is not finite.
     """
     if path.is_dir():
-        return motion_of(Capture.open(path))
+        return driving_sequence_of(Capture.open(path))
     if path.suffix.lower() != ".npz":
-        raise InputError(f"{path}: expected a capture folder or an .npz of head parameters to drive with")
+        raise InputError(f"{path}: expected a capture folder or an .npz file of head parameters")
     arrays = read_npz(path)
     count = len(_array(path, arrays, "expression", (None, None)))
     names = tuple(str(name) for name in np.atleast_1d(arrays.get("joint_names", np.array([], str))))
     if "version" not in arrays:
-        raise InputError(f"{path}: expected 'version' with the tag of the head, such as flame2020, found no such array")
+        raise InputError(
+            f"{path}: expected the array 'version' with the head's version tag, such as flame2020, found none"
+        )
     if "joint_rotations" in arrays and not names:
-        raise InputError(f"{path}: expected 'joint_names' beside 'joint_rotations', found none; add them, root first")
-    return Motion(
+        raise InputError(
+            f"{path}: expected 'joint_names' with 'joint_rotations', found none; add the names, root first"
+        )
+    return DrivingSequence(
         expression=_array(path, arrays, "expression", (None, None)),
         joint_rotations=_array(path, arrays, "joint_rotations", (count, len(names), 3)),
         eyelids=_array(path, arrays, "eyelids", (count, 2)),
@@ -135,7 +139,7 @@ def read_motion(path: Path) -> Motion:
 
 
 def _cameras(path: Path, arrays: dict[str, np.ndarray], count: int) -> Cameras | None:
-    """Cameras, if the three arrays that make them are all there."""
+    """Cameras, if all three arrays are present."""
     present = [name for name in ("world_to_camera", "intrinsics", "size") if name in arrays]
     if not present:
         return None
@@ -154,7 +158,7 @@ def _frames_per_second(path: Path, arrays: dict[str, np.ndarray]) -> float:
 
 
 def _array(path: Path, arrays: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """A checked array; one that may be missing is zero, which moves nothing."""
+    """A validated array; an optional one that is missing becomes zeros (neutral)."""
     if name not in arrays:
         if None in shape:
             raise InputError(f"{path}: expected the array {name!r}, found {', '.join(sorted(arrays)) or 'none at all'}")
