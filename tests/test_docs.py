@@ -1,7 +1,8 @@
 """Paths, names and modules that the documentation mentions exist.
 
 Checked in the pages of docs/ (experiments are dated records and stay as they were), README.md and CONTRIBUTING.md:
-`path.py`, `path.py:Name, Class.method`, dotted names such as `ggavatar.optim.seeding.seeded`, and `test_name` or
+`path.py` (relative to the repository, a package, tests/, or a folder that its line names), `path.py:Name, Class.method`,
+dotted names such as `ggavatar.optim.seeding.seeded`, and `test_name` or
 `test_prefix_…`.
 """
 
@@ -23,6 +24,7 @@ FOLDERS = (ROOT, ROOT / "ggavatar", ROOT / "preprocess", ROOT / "evaluate", ROOT
 PLACEHOLDERS = {
     "ggavatar/methods/painted_mesh.py",  # written by the reader of adding-a-method.md
     "recompute_intervals.py",  # written by ggavatar-eval beside its results
+    "tests/PACKAGE/ROOM/test_MODULE.py",  # a pattern in architecture.md
     "ggavatar.capture_formats",  # an entry-point group, not a module
 }
 FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
@@ -79,22 +81,29 @@ def exists(dotted: str) -> bool:
 def complaints(text: str) -> list[str]:
     """What a page mentions that does not exist."""
     found = []
-    for quoted in QUOTED.findall(FENCED.sub("", text)):
-        if quoted in PLACEHOLDERS:
-            continue
-        if match := PATH.fullmatch(quoted):
-            files = [folder / match[1] for folder in FOLDERS if (folder / match[1]).is_file()]
-            if not files:
-                found.append(f"{match[1]}: no such file")
-            wanted = match[2].split(", ") if match[2] and files else []
-            found += [f"{match[1]}: no {name}" for name in wanted if name not in defined_names(files[0])]
-        elif match := DOTTED.fullmatch(quoted):
-            found += [] if exists(match[1]) else [f"{match[1]}: cannot be imported"]
-        elif (match := TEST.fullmatch(quoted)) and not any(
-            name.startswith(match[1]) if match[2] else name == match[1] for name in known_tests()
-        ):
-            found.append(f"{quoted}: no such test")
+    for line in FENCED.sub("", text).splitlines():
+        mentions = [quoted for quoted in QUOTED.findall(line) if quoted not in PLACEHOLDERS]
+        subfolders = [quoted for quoted in mentions if quoted.endswith("/")]
+        places = [*FOLDERS, *(folder / subfolder for folder in FOLDERS for subfolder in subfolders)]
+        for quoted in mentions:
+            found += complaints_about(quoted, places)
     return found
+
+
+def complaints_about(quoted: str, places: list[Path]) -> list[str]:
+    """What is wrong with one mention, a path in it being relative to one of `places`."""
+    if match := PATH.fullmatch(quoted):
+        files = [place / match[1] for place in places if (place / match[1]).is_file()]
+        if not files:
+            return [f"{match[1]}: no such file"]
+        wanted = match[2].split(", ") if match[2] else []
+        return [f"{match[1]}: no {name}" for name in wanted if name not in defined_names(files[0])]
+    if match := DOTTED.fullmatch(quoted):
+        return [] if exists(match[1]) else [f"{match[1]}: cannot be imported"]
+    if match := TEST.fullmatch(quoted):
+        known = any(name.startswith(match[1]) if match[2] else name == match[1] for name in known_tests())
+        return [] if known else [f"{quoted}: no such test"]
+    return []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -118,6 +127,7 @@ def test_the_pages_mention_something() -> None:
         ("see `methods/ggavatar.py:GGAvatar.render`", "methods/ggavatar.py: no GGAvatar.render"),
         ("call `ggavatar.optim.seeding.unseeded(3)`", "ggavatar.optim.seeding.unseeded: cannot be imported"),
         ("import `ggavatar.density`", "ggavatar.density: cannot be imported"),
+        ("| `losses/` | `no_terms.py` |", "no_terms.py: no such file"),
         ("proved by `test_eq_99_…`", "test_eq_99_…: no such test"),
     ],
 )
@@ -132,6 +142,7 @@ def test_a_made_up_page_is_refused(text: str, complaint: str) -> None:
         "`methods/ggavatar.py:Config, GGAvatar.losses, VARIANTS, Config.latent`",
         "`ggavatar.optim.seeding.seeded(scene.seed, stream, step)` and `ggavatar.head.model.HeadModel.faces`",
         "`test_eq_4_…`",
+        "| `losses/` | the terms (`terms.py`) |",
         "```\n`geometry.py`\n```",
     ],
 )
