@@ -1,9 +1,8 @@
 """Paths, names and modules that the documentation mentions exist.
 
-Checked in the pages of docs/ (experiments are dated records and stay as they were), README.md and CONTRIBUTING.md:
-`path.py` (relative to the repository, a package, tests/, or a folder that its line names), `path.py:Name, Class.method`,
-dotted names such as `ggavatar.optim.seeding.seeded`, and `test_name` or
-`test_prefix_…`.
+The pages are those of docs/ (except the dated records in docs/experiments), README.md and CONTRIBUTING.md. Checked are
+`path.py` and `path.py:Name, Class.method`, relative to the repository, a package, tests/ or a folder named on the same
+line; dotted names such as `ggavatar.optim.seeding.seeded`; and `test_name` or `test_prefix_…`.
 """
 
 from __future__ import annotations
