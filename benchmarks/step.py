@@ -14,9 +14,14 @@ from ggavatar.gaussians.binding import bind, bind_in_torch
 from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
 from ggavatar.io.ordered_map import available_cores
 from ggavatar.losses.dssim import image_terms, image_terms_in_torch
-from ggavatar.losses.terms import position_in_torch, position_regulariser, scale_in_torch, scale_regulariser
+from ggavatar.losses.terms import (
+    log_scale_regularizer,
+    log_scale_regularizer_in_torch,
+    position_regularizer,
+    position_regularizer_in_torch,
+)
 from ggavatar.networks.fields import HashTriplane, lookup_in_torch
-from ggavatar.networks.mlp import in_torch, perceptron
+from ggavatar.networks.mlp import perceptron, perceptron_in_torch
 
 COUNT, SIZE = 50_000, 512
 QUICK_COUNT, QUICK_SIZE = 5_000, 128
@@ -42,9 +47,14 @@ def components(scene: StepScene) -> dict[str, tuple[Call, Call]]:
             backward(lambda: image_terms(image, scene.kept_target, 0.2)),
             backward(lambda: image_terms_in_torch(image, scene.kept_target, (0.8, 0.2))),
         ),
-        "regularisers": (
-            backward(lambda: [position_regulariser(rows["means"], visible), scale_regulariser(scales, visible)]),
-            backward(lambda: [position_in_torch(rows["means"], visible), scale_in_torch(scales, visible)]),
+        "regularizers": (
+            backward(lambda: [position_regularizer(rows["means"], visible), log_scale_regularizer(local[2], visible)]),
+            backward(
+                lambda: [
+                    position_regularizer_in_torch(rows["means"], visible),
+                    log_scale_regularizer_in_torch(local[2], visible),
+                ]
+            ),
         ),
         "bind": (
             backward(lambda: bind(*local, scene.face, scene.neutral), shape),
@@ -63,7 +73,7 @@ def field_components(scene: StepScene, upstream: Tensor, to_features: Tensor) ->
     adjuster, x = scene.adjuster, scene.positions()
     field = adjuster.field
     assert isinstance(field, HashTriplane)
-    unit = field.box.normalise(x)
+    unit = field.box.normalize(x)
     features = field(x).detach().requires_grad_()
 
     def layers() -> list[tuple[Tensor, Tensor]]:
@@ -77,11 +87,11 @@ def field_components(scene: StepScene, upstream: Tensor, to_features: Tensor) ->
         "triplane": (backward(lambda: [field(x)], [to_features]), backward(lambda: [look_up()], [to_features])),
         "network": (
             backward(lambda: [perceptron(features, *layers())], [upstream]),
-            backward(lambda: [in_torch(features, *layers())], [upstream]),
+            backward(lambda: [perceptron_in_torch(features, *layers())], [upstream]),
         ),
         "adjuster": (
             backward(lambda: [adjuster(x, scene.condition).rows], [upstream]),
-            backward(lambda: [in_torch(look_up(), *layers())], [upstream]),
+            backward(lambda: [perceptron_in_torch(look_up(), *layers())], [upstream]),
         ),
     }
 

@@ -14,8 +14,8 @@ from ggavatar.geometry.transforms import look_at
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
-from ggavatar.losses.dssim import DssimTarget
-from ggavatar.losses.terms import image_terms, log_scale_regulariser, position_regulariser
+from ggavatar.losses.dssim import DssimTarget, image_terms
+from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
 from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.render.cpu import rasterizer
@@ -81,8 +81,8 @@ class StepScene:
         """The paper's objective without the perceptual term."""
         visible = rendering.radii > 0
         color = sum(image_terms(rendering.image, self.kept_target, 0.2))
-        position = position_regulariser(self.rows["means"], visible)
-        return color + 0.01 * position + log_scale_regulariser(self.rows["log_scales"], visible)
+        position = position_regularizer(self.rows["means"], visible)
+        return color + 0.01 * position + log_scale_regularizer(self.rows["log_scales"], visible)
 
     def step(self, adjusted: bool) -> None:
         """Forward, backward and Adam."""

@@ -17,7 +17,8 @@ from ggavatar.gaussians.offsets import Offsets, refine
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_to_matrix
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.model import HeadModel
-from ggavatar.losses.terms import dssim, l1, position_regulariser, scale_regulariser
+from ggavatar.losses.dssim import dssim
+from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
 from ggavatar.methods.ggavatar import Config, GGAvatar, build, density_control, position_rate
 from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
@@ -78,7 +79,7 @@ def stirred(avatar: GGAvatar) -> GGAvatar:
 
 
 def test_eq_1_2_3_splatting_of_two_gaussians_by_hand() -> None:
-    """G(x) = exp(−½ dᵀ Σ⁻¹ d), Σ = R S Sᵀ Rᵀ, C = Σ c α Π (1 − α), at the pixel where both are centred."""
+    """G(x) = exp(−½ dᵀ Σ⁻¹ d), Σ = R S Sᵀ Rᵀ, C = Σ c α Π (1 − α), at the pixel where both are centered."""
     size, depth = 25, 1.0
     eye = Camera(torch.tensor([[40.0, 0, 12.5], [0, 40.0, 12.5], [0, 0, 1]]), torch.eye(4), size, size)
     means = torch.tensor([[0.0, 0, depth], [0.0, 0, 2 * depth]])
@@ -203,9 +204,8 @@ def test_eq_13_to_16_every_term_with_its_weight() -> None:
     assert torch.allclose(terms["position"], 0.01 * position) and torch.allclose(terms["scale"], 1.0 * scale)
     assert scale > 0 and set(terms) == {"l1", "dssim", "position", "scale"}
     assert float(l1(image, target)) > 0 and float(dssim(target, target)) == pytest.approx(0, abs=1e-6)
-    assert torch.allclose(position_regulariser(means, seen), position) and torch.allclose(
-        scale_regulariser(scales, seen), scale
-    )
+    assert torch.allclose(position_regularizer(means, seen), position)
+    assert torch.allclose(log_scale_regularizer(avatar.rows["log_scales"], seen), scale)
 
 
 def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
@@ -231,7 +231,7 @@ def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
 
 def test_first_rows_are_one_gaussian_per_triangle_at_its_centroid() -> None:
     avatar = build(Config(), small_scene())
-    gaussians, frames = avatar.gaussians(drive_of(avatar)), avatar.neutral_frames
+    gaussians, frames = avatar.gaussians(drive_of(avatar)), avatar.neutral_local_frames
     assert torch.allclose(gaussians.means, frames.centers)
     assert torch.allclose(gaussians.scales, frames.scales[:, None].expand(8, 3))
     assert torch.allclose(gaussians.opacities, torch.full((8,), 0.1)) and gaussians.sh_degree == 0
@@ -337,7 +337,7 @@ def test_table_2_ablations() -> None:
     assert avatars["without_triplane"].adjuster is not None and avatars["without_triplane"].adjuster.field.width == 63
     assert not at_step(avatars["without_initialization"], 0).is_neutral
     still = at_step(avatars["without_lbs"], 6_000)
-    faces = [still._face_frames(which).centers for which in (drive, neutral)]
+    faces = [still._local_frames(which).centers for which in (drive, neutral)]
     assert torch.equal(*faces)
     assert not torch.allclose(still.gaussians(drive).means, still.gaussians(neutral).means, atol=1e-5)
 

@@ -1,1 +1,1 @@
-"""Captures as training data: folders, schema, splits, frames, the scene a method sees."""
+"""Captures as training data: the folder and its schema, splits, frames, and the scene that methods receive."""

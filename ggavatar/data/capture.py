@@ -1,6 +1,6 @@
-"""A capture: the folder that holds everything training and evaluation read (docs/capture-format.md).
+"""A capture: the folder that holds all data for training and evaluation (docs/capture-format.md).
 
-Reading is lazy; torch is not needed.
+Pixels are read on demand. This module does not import torch.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ DESCRIPTION, TRACKING, HEAD, IMAGES, MASKS = "capture.json", "tracking.npz", "he
 
 @dataclass(frozen=True)
 class Tracking:
-    """Cameras and head parameters of T frames, one row a frame.
+    """Cameras and head parameters of T frames, one row per frame.
 
     Attributes:
-        intrinsics: px of the capture's images.
-        world_to_camera: Rigid, metres, OpenCV axes.
+        intrinsics: Focal lengths and principal point, px of the capture's images.
+        world_to_camera: Rigid transforms, m, OpenCV axes.
         expression: Coefficients of the head's expression basis.
         joint_rotations: Axis-angle in the order of the head's joints, rad.
-        eyelids: Closing of the left and right lid, 0 open.
-        translation: Of the posed head, m.
-        shape: Identity coefficients, for exports only; identity is folded into the head.
-        landmarks: px; NaN where nothing was detected.
-        torso_to_camera: Rigid pose of the torso, that of the head when both are at rest.
+        eyelids: Closing of the left and right eyelid; 0 is open.
+        translation: Translation of the posed head, m.
+        shape: Identity coefficients, for exports only; the identity is folded into the head.
+        landmarks: Detected landmarks, px; NaN where none was detected.
+        torso_to_camera: Rigid pose of the torso; equal to the head's when both are at rest.
     """
 
     intrinsics: Float[np.ndarray, "T 3 3"]
@@ -59,12 +59,12 @@ class Tracking:
     torso_to_camera: Float[np.ndarray, "T 4 4"] | None = None
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by their names in tracking.npz."""
+        """The arrays by their names in tracking.npz; those that are None are left out."""
         named = ((item.name, getattr(self, item.name)) for item in dataclasses.fields(self))
         return {name: value for name, value in named if value is not None}
 
     def rows(self, chosen: np.ndarray | slice) -> Tracking:
-        """The tracking of some of the frames."""
+        """The tracking of a subset of the frames."""
         return Tracking(**{name: value if name == "shape" else value[chosen] for name, value in self.arrays().items()})
 
 
@@ -73,17 +73,17 @@ class Capture:
     """An opened and checked capture folder.
 
     Attributes:
-        folder: Where it lies.
-        subject: Name in tables.
-        width: Of every image and mask, px.
-        height: Of every image and mask, px.
+        folder: Path of the folder.
+        subject: Name of the person in tables.
+        width: Width of every image and mask, px.
+        height: Height of every image and mask, px.
         fps: Frames per second.
         frames: Source frame numbers, ascending; row k of the tracking belongs to `frames[k]`.
         splits: Training and test frames by the name of the rule.
         tracking: Cameras and head parameters.
         head_version: Tag of the head's parameter space.
-        source: Where the capture came from; free-form, for provenance.
-        dropped: Frames of the video that are not in the capture, with reasons.
+        source: Origin of the capture; free-form, for provenance.
+        dropped: Frames of the video that are not in the capture, with the reasons.
     """
 
     folder: Path
@@ -100,11 +100,11 @@ class Capture:
 
     @staticmethod
     def open(folder: Path | str) -> Capture:
-        """Open a capture and check all of it but the pixels.
+        """Open a capture and check everything except the pixels.
 
         Raises:
-            InputError: Something is missing, damaged, of another version or does not fit together; the message names
-                the file.
+            InputError: A file is missing, damaged, of an unknown version or inconsistent with another; the message
+                names the file.
         """
         with with_remedy(Path(folder)):
             return Capture._opened(Path(folder))
@@ -134,7 +134,7 @@ class Capture:
         )
         for subfolder in (IMAGES, MASKS):
             check_images(
-                [capture.picture_path(subfolder, number) for number in capture.frames], capture.width, capture.height
+                [capture.image_path(subfolder, number) for number in capture.frames], capture.width, capture.height
             )
         return capture
 
@@ -143,43 +143,43 @@ class Capture:
         """The file of the head model (`ggavatar.head.files.load_head`)."""
         return self.folder / HEAD
 
-    def picture_path(self, subfolder: str, number: int) -> Path:
-        """The file of one frame in `images` or `masks`."""
+    def image_path(self, subfolder: str, number: int) -> Path:
+        """Path of one frame's file in the subfolder `images` or `masks`."""
         return self.folder / subfolder / f"{number:06d}.png"
 
     def image(self, number: int) -> UInt8[np.ndarray, "H W 3"]:
-        """The image of a source frame, 8-bit sRGB, read from disk now."""
+        """The image of a source frame, 8-bit sRGB, read from disk on every call."""
         self.row(number)
         with with_remedy(self.folder):
-            return read_rgb(self.picture_path(IMAGES, number))
+            return read_rgb(self.image_path(IMAGES, number))
 
     def mask(self, number: int) -> UInt8[np.ndarray, "H W"]:
-        """The soft foreground mask of a source frame, 255 = person, read from disk now."""
+        """The soft foreground mask of a source frame, 255 = person, read from disk on every call."""
         self.row(number)
         with with_remedy(self.folder):
-            return read_gray(self.picture_path(MASKS, number))
+            return read_gray(self.image_path(MASKS, number))
 
     def row(self, number: int) -> int:
-        """The row of the tracking that belongs to a source frame number."""
+        """The tracking row of a source frame number; `InputError` if the capture does not contain the frame."""
         row = int(np.searchsorted(self.frames, number))
         if row == len(self.frames) or self.frames[row] != number:
             raise InputError(
-                f"{self.folder}: no frame {number}; the capture has {len(self.frames)} from {self.frames[0]} to "
-                f"{self.frames[-1]}"
+                f"{self.folder}: no frame {number}; the capture has {len(self.frames)} frames between {self.frames[0]} "
+                f"and {self.frames[-1]}"
             )
         return row
 
     def split(self, name: str) -> Split:
-        """A split by name; `InputError` naming those there are."""
+        """A split by name; `InputError` if there is none of that name."""
         if name not in self.splits:
             known = ", ".join(sorted(self.splits))
             raise InputError(
-                f"{self.folder / DESCRIPTION}: no split {name!r}; there are {known}. ggavatar-prep --split adds others"
+                f"{self.folder / DESCRIPTION}: no split {name!r}; available: {known}. Add it with ggavatar-prep --split"
             )
         return self.splits[name]
 
     def digest(self) -> str:
-        """SHA-256 over the contents of every file that decides a training run; reads all images."""
+        """SHA-256 over the contents of every file that influences a training; reads all images."""
         total = hashlib.sha256()
         for path in self._files():
             with path.open("rb") as stream:
@@ -189,14 +189,11 @@ class Capture:
     def _files(self) -> Iterator[Path]:
         yield from (self.folder / DESCRIPTION, self.folder / TRACKING, self.folder / HEAD)
         for number in self.frames:
-            yield self.picture_path(IMAGES, number)
-            yield self.picture_path(MASKS, number)
+            yield self.image_path(IMAGES, number)
+            yield self.image_path(MASKS, number)
 
     def describe(self) -> None:
-        """Write tracking.npz and then, as the last file that makes the folder a capture, capture.json.
-
-        Both atomically.
-        """
+        """Write tracking.npz and then capture.json, which completes the capture; each atomically."""
         write_npz(self.folder / TRACKING, self.tracking.arrays())
         splits = {name: {"train": list(split.train), "test": list(split.test)} for name, split in self.splits.items()}
         write_description(
@@ -214,27 +211,30 @@ class Capture:
             },
         )
 
-    def write(self, pictures: Iterable[tuple[np.ndarray, np.ndarray]], head: Mapping[str, np.ndarray]) -> None:
-        """Write the whole capture into `folder`, which must not exist yet; it appears complete or not at all.
+    def write(self, images: Iterable[tuple[np.ndarray, np.ndarray]], head: Mapping[str, np.ndarray]) -> None:
+        """Write the whole capture to `folder`, which must not exist; it appears complete or not at all.
 
         Args:
-            pictures: Image [H, W, 3] and mask [H, W], 8-bit, of every frame in order.
+            images: Image [H, W, 3] and mask [H, W], 8-bit, of every frame in order.
             head: Arrays of head.npz.
+
+        Raises:
+            InputError: The folder exists.
         """
         if self.folder.exists():
-            raise InputError(f"{self.folder}: exists already; choose another folder")
+            raise InputError(f"{self.folder}: already exists; choose another folder")
         self.folder.parent.mkdir(parents=True, exist_ok=True)
-        with _appearing(self.folder) as unfinished:
+        with _AtomicFolder(self.folder) as unfinished:
             copy = dataclasses.replace(self, folder=unfinished)
-            for number, (image, mask) in zip(self.frames, pictures, strict=True):
-                write_png(copy.picture_path(IMAGES, number), image)
-                write_png(copy.picture_path(MASKS, number), mask)
+            for number, (image, mask) in zip(self.frames, images, strict=True):
+                write_png(copy.image_path(IMAGES, number), image)
+                write_png(copy.image_path(MASKS, number), mask)
             write_npz(copy.folder / HEAD, head)
             copy.describe()
 
 
-class _appearing:
-    """A temporary folder that takes its final name on success and vanishes on failure."""
+class _AtomicFolder:
+    """A temporary folder that is renamed to its final name on success and deleted on failure."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -1,11 +1,8 @@
-"""From a capture's files to the frames a training sees: composited, resized, on the device, a few ahead of need."""
+"""Frames of a capture for training and evaluation: composited, resized, on the device, read ahead of use."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import chain
 
 import numpy as np
 import torch
@@ -16,16 +13,17 @@ from ggavatar.core import Camera, Drive, Frame
 from ggavatar.data.capture import Capture
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
+from ggavatar.io.ordered_map import ordered_map
 from ggavatar.optim.seeding import seeded
 
 AHEAD = 4
-"""Frames prepared while the current one is trained on."""
+"""Frames read ahead of the one in use."""
 
 
 class Frames:
-    """The frames of a capture, read when asked for and kept as 8-bit pixels within a memory budget.
+    """The frames of a capture, read on demand and cached as 8-bit pixels within a memory budget.
 
-    What is kept stays: frames come in random order, so replacing one by another would gain nothing.
+    Cached frames are not evicted: training visits frames in random order, so replacing one by another gains nothing.
     """
 
     def __init__(
@@ -36,14 +34,14 @@ class Frames:
         device: torch.device | str,
         budget_mib: int = 512,
     ) -> None:
-        """Prepare drives and cameras of all frames; no picture is read yet.
+        """Prepare drives and cameras of all frames; no image is read yet.
 
         Args:
-            capture: Where the frames lie.
+            capture: The capture that holds the frames.
             head: The capture's head model.
-            background: sRGB in [0, 1].
-            device: Where the tensors go.
-            budget_mib: Memory for kept pixels, MiB; 0 keeps none.
+            background: Color behind the person, sRGB in [0, 1].
+            device: Device of the tensors.
+            budget_mib: Memory for cached pixels, MiB; 0 caches none.
         """
         self._capture, self._device = capture, device
         self.background = background.detach().cpu().to(torch.float32)
@@ -52,20 +50,24 @@ class Frames:
         self._kept: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def drive(self, number: int) -> Drive:
-        """What moves the head in a source frame."""
+        """The drive of a source frame."""
         return self._drives[self._capture.row(number)]
 
     def camera(self, number: int) -> Camera:
-        """Where a source frame is seen from, at the capture's size."""
+        """The camera of a source frame, at the capture's size."""
         return self._cameras[self._capture.row(number)]
 
     def frame(self, number: int, width: int | None = None, height: int | None = None, keep: bool = False) -> Frame:
-        """One frame, at the capture's size or resampled to another by area averaging.
+        """One frame, at the capture's size or resampled by area averaging.
 
-        `keep` puts its pixels into the memory budget.
+        Args:
+            number: Source frame number.
+            width: Width to resample to, px; None is the capture's.
+            height: Height to resample to, px; None is the capture's.
+            keep: Cache the pixels if the memory budget allows.
 
         Raises:
-            InputError: Its image or mask is missing or damaged.
+            InputError: The image or mask is missing or damaged.
         """
         size = (width or self._capture.width, height or self._capture.height)
         image, alpha = self._pixels(number, *size, keep)
@@ -77,22 +79,11 @@ class Frames:
         )
 
     def stream(self, requests: Iterable[tuple[int, int, int]]) -> Generator[Frame]:
-        """Frames for (number, width, height) in order, read and kept by one thread that stays a few frames ahead."""
-        with ThreadPoolExecutor(1, thread_name_prefix="frames") as reader:
-            waiting: deque[Future[Frame]] = deque()
-            try:
-                for request in requests:
-                    waiting.append(reader.submit(self.frame, *request, keep=True))
-                    if len(waiting) > AHEAD:
-                        yield waiting.popleft().result()
-                while waiting:
-                    yield waiting.popleft().result()
-            finally:
-                for future in waiting:
-                    future.cancel()
+        """Frames for (number, width, height) in order; one thread reads and caches them, `AHEAD` frames ahead."""
+        return ordered_map(lambda request: self.frame(*request, keep=True), requests, threads=1, ahead=AHEAD)
 
     def _pixels(self, number: int, width: int, height: int, keep: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Composited colours [H, W, 3] and coverage [H, W], 8-bit."""
+        """Composited colors [H, W, 3] and coverage [H, W], 8-bit, from the cache or from disk."""
         key = (number, width, height)
         found = self._kept.get(key)
         if found is None:
@@ -102,7 +93,7 @@ class Frames:
         return found
 
     def _keep(self, key: tuple[int, int, int], pixels: tuple[np.ndarray, np.ndarray]) -> None:
-        """Keep the pixels if the budget has room; called by the reading thread only."""
+        """Cache the pixels if the budget allows; called by the reader thread only."""
         size = sum(part.nbytes for part in pixels)
         if size > self._room:
             self._forget_other_sizes(*key[1:])
@@ -111,7 +102,7 @@ class Frames:
             self._kept[key] = pixels
 
     def _forget_other_sizes(self, width: int, height: int) -> None:
-        """Drop frames of another size; training never returns to it."""
+        """Drop frames of other sizes; training never returns to an earlier resolution."""
         for key in [key for key in list(self._kept) if key[1:] != (width, height)]:
             self._room += sum(part.nbytes for part in self._kept.pop(key))
 
@@ -127,9 +118,9 @@ class Frames:
 
 
 def random_order(numbers: Sequence[int], seed: int, first_step: int) -> Iterator[int]:
-    """Endlessly, a new permutation of `numbers` each epoch, beginning at step `first_step` (from 1).
+    """An endless sequence of frames: a new permutation of `numbers` each epoch, starting at step `first_step` (from 1).
 
-    A function of seed and step alone.
+    It depends on seed and step only.
     """
     count = len(numbers)
     epoch, offset = divmod(first_step - 1, count)
@@ -142,7 +133,7 @@ def random_order(numbers: Sequence[int], seed: int, first_step: int) -> Iterator
 def drives_and_cameras(
     capture: Capture, head: HeadModel, device: torch.device | str
 ) -> tuple[list[Drive], list[Camera]]:
-    """Drives and full-size cameras of all frames of a capture, on a device."""
+    """Drives and cameras of all frames of a capture at its full size, on a device."""
     tracking = capture.tracking
 
     def tensor(values: np.ndarray) -> Tensor:
@@ -167,25 +158,25 @@ def drives_and_cameras(
 def head_pose(
     head: HeadModel, joint_rotations: Float[Tensor, "J 3"], translation: Float[Tensor, "3"]
 ) -> Float[Tensor, "4 4"]:
-    """Rigid motion of the skull in the world.
+    """Rigid transform of the skull in the world: root, then neck, then translation.
 
-    Root, then neck, then translation. The identity for trackers that move the camera instead.
+    It is the identity for trackers that move the camera instead of the head.
     """
-    chain_of_joints = [index for index, name in enumerate(head.joint_names) if name in ("root", "neck")]
+    chain = [index for index, name in enumerate(head.joint_names) if name in ("root", "neck")]
     rotations = axis_angle_to_matrix(joint_rotations)
     joints = head.joint_regressor @ head.template
     motion = rigid(torch.eye(3, dtype=joints.dtype, device=joints.device), torch.zeros_like(translation))
-    for index in chain_of_joints:
+    for index in chain:
         motion = motion @ rigid(rotations[index], joints[index] - rotations[index] @ joints[index])
     return rigid(motion[:3, :3], motion[:3, 3] + translation)
 
 
-def spaced(numbers: Sequence[int], count: int) -> list[int]:
-    """At most `count` of `numbers`, evenly spaced, first and last among them."""
+def evenly_spaced(numbers: Sequence[int], count: int) -> list[int]:
+    """At most `count` of `numbers`, evenly spaced, including the first and the last."""
     if count >= len(numbers):
         return list(numbers)
     picks = np.linspace(0, len(numbers) - 1, count).round().astype(int)
-    return [numbers[index] for index in dict.fromkeys(chain(picks.tolist()))]
+    return [numbers[index] for index in dict.fromkeys(picks.tolist())]
 
 
 def _to_float(pixels: np.ndarray, device: torch.device | str) -> Tensor:

@@ -1,4 +1,4 @@
-"""What a method may look at before its first step."""
+"""The data that a method may use before its first step."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ggavatar.head.model import HeadModel
 
 @dataclass(frozen=True)
 class Scene:
-    """A head, how it moves in training, and the plan of the training. Test frames are not in it.
+    """The head, the drives and cameras of the training frames, and the training's settings; nothing of test frames.
 
     Attributes:
-        head: The head model, on the device of the training.
-        drives: What moves the head, one a training frame.
-        cameras: Where each training frame is seen from, at the capture's resolution.
-        background: Colour behind the avatar, sRGB in [0, 1].
+        head: The head model, on the training's device.
+        drives: One drive per training frame.
+        cameras: One camera per training frame, at the capture's resolution.
+        background: Color behind the avatar, sRGB in [0, 1].
         steps: Length of the training; methods scale their schedules to it.
-        seed: From which every random number derives.
-        max_gaussians: Largest number of Gaussians allowed.
+        seed: Seed of all random numbers.
+        max_gaussians: Maximum number of Gaussians.
         samples: A few training frames, evenly spaced and small; empty when a trained avatar is opened.
-        rasterize: The renderer of the training, to be used with `samples`; None when a trained avatar is opened.
+        rasterize: The training's rasterizer, for `samples`; None when a trained avatar is opened.
     """
 
     head: HeadModel

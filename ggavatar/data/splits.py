@@ -1,13 +1,13 @@
-"""Which frames train and which test: the rules of the field, each giving two explicit lists."""
+"""Training and test frames: the split rules of the field, each giving two explicit lists."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import read_json
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ RULES = "every-20th, last-350, last-500, ratio-0.8, file:PATH"
 
 
 def split_name(rule: str) -> str:
-    """The name a rule's split has in capture.json: the rule itself, but `file` for `file:PATH`."""
+    """The name of a rule's split in capture.json: the rule itself, but `file` for `file:PATH`."""
     return "file" if rule.startswith("file:") else rule
 
 
@@ -31,12 +31,12 @@ def split_frames(frames: Sequence[int], rule: str) -> Split:
 
     Args:
         frames: Source frame numbers, ascending.
-        rule: `every-N` (each N-th from the first is test; N = 20 in GGAvatar Sec. 5), `last-N` (the last N are test;
-            350 in INSTA, 500 in FlashAvatar), `ratio-R` (the first part R trains, the rest tests) or `file:PATH`
-            (JSON with lists `train` and `test`).
+        rule: `every-N` (every N-th frame from the first is a test frame; N = 20 in GGAvatar Sec. 5), `last-N` (the last
+            N frames; 350 in INSTA, 500 in FlashAvatar), `ratio-R` (the first fraction R is for training, the rest for
+            testing) or `file:PATH` (JSON with lists `train` and `test`).
 
     Raises:
-        InputError: Unknown rule, or a clip so short that one of the two lists would be empty.
+        InputError: The rule is unknown, its file is invalid, or the clip is so short that a list would be empty.
     """
     kind, _, value = rule.partition(":" if rule.startswith("file:") else "-")
     if kind == "file":
@@ -59,7 +59,7 @@ def split_frames(frames: Sequence[int], rule: str) -> Split:
 
 
 def _number(rule: str, kind: str, value: str) -> float:
-    """The number of a rule, checked against what the rule allows."""
+    """The number of a rule; `InputError` if the rule is unknown or does not allow the number."""
     try:
         number = float(value.removesuffix("th"))
     except ValueError:
@@ -85,29 +85,25 @@ def _advice(kind: str, count: int) -> str:
 
 
 def _read_split(frames: Sequence[int], path: Path) -> Split:
-    """Read explicit lists; frames that the clip does not have are an error, frames in neither list are left out."""
+    """Explicit lists from a JSON file; unknown frames are an error, frames in neither list are not used."""
+    data = read_json(path)
     try:
-        if path.stat().st_size > 1 << 26:
-            raise InputError(f"{path}: a split file is not larger than 64 MiB")
-        data = json.loads(path.read_text(encoding="utf-8"))
         train, test = sorted(set(data["train"])), sorted(set(data["test"]))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such split file") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (KeyError, TypeError) as error:
         raise InputError(
             f'{path}: expected JSON like {{"train": [0, 1], "test": [2]}}, found something else ({error!r})'
         ) from error
     known = set(frames)
     for name, listed in (("train", train), ("test", test)):
         if not listed or not all(type(n) is int and n in known for n in listed):
-            strangers = [n for n in listed if type(n) is not int or n not in known][:5]
+            unknown = [n for n in listed if type(n) is not int or n not in known][:5]
             raise InputError(
-                f"{path}: {name!r} must list frames of the clip ({frames[0]} … {frames[-1]}), found "
-                f"{strangers or 'none at all'}"
+                f"{path}: expected {name!r} to list frames of the clip ({frames[0]} … {frames[-1]}), found "
+                f"{unknown or 'none'}"
             )
     if set(train) & set(test):
         raise InputError(
-            f"{path}: frames {sorted(set(train) & set(test))[:5]} are in both lists; a test frame must never be "
-            "trained on"
+            f"{path}: frames {sorted(set(train) & set(test))[:5]} are in both lists; remove each from "
+            "'train' or from 'test'"
         )
     return Split(tuple(train), tuple(test))

@@ -1,1 +1,1 @@
-"""Gaussians on a mesh: first rows, binding, offsets, density control, colours."""
+"""Gaussians bound to a mesh: initialization, binding, offsets, density control, colors."""

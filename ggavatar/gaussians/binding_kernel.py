@@ -1,6 +1,6 @@
-"""Gaussians from their triangles to the world, and the gradient back (compiled; twin: `binding.bind_in_torch`).
+"""Binding of Gaussians to triangles and its gradient, sixteen Gaussians at a time (compiled).
 
-Sixteen Gaussians at a time. What they need of their triangles lies in one cache line per triangle.
+The torch twin is `binding.bind_in_torch`. A triangle's record of 16 floats fills one cache line.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from ggavatar.jit.threads import run_workers
 from ggavatar.jit.vectors import columns_3, columns_4, dot
 
 CHUNK = 2048
-"""Gaussians of a piece of work."""
+"""Gaussians per task."""
 
 Floats = Float32[ndarray, "..."]
 Indices = Int64[ndarray, " N"]
 
-ROTATION, CENTER, QUAT, RECORD = 0, 9, 12, 16
-"""Places in a triangle's record: size times rotation, row by row; centre; unit quaternion; and the record's length."""
+CENTER, QUAT, RECORD = 9, 12, 16
+"""Offsets in a triangle's record of center and unit quaternion, after size times rotation (row-major); its length."""
 
 
-class Faces(NamedTuple):
-    """Triangles: centres [F, 3], rotations [F, 3, 3], sizes [F] and unit quaternions [F, 4]."""
+class TriangleArrays(NamedTuple):
+    """Triangles: centers [F, 3], rotations [F, 3, 3], sizes [F] and unit quaternions [F, 4]."""
 
     centers: Floats
     rotations: Floats
@@ -37,8 +37,8 @@ class Faces(NamedTuple):
     quats: Floats
 
 
-class Geometry(NamedTuple):
-    """Means [N, 3], quaternions [N, 4] and scales [N, 3] (logarithms in local space), or gradients by them."""
+class GeometryArrays(NamedTuple):
+    """Means [N, 3], quaternions [N, 4] and scales [N, 3] (logarithms in local space), or the gradients by them."""
 
     means: Floats
     quats: Floats
@@ -47,7 +47,7 @@ class Geometry(NamedTuple):
 
 @kernel
 def fill_records(centers, rotations, scales, records):
-    """Fill in the records [F, 16] of all triangles, their quaternions by the largest part of the rotation."""
+    """Write the records [F, 16] of all triangles."""
     for f in range(np.uint64(scales.size)):
         for axis in range(np.uint64(3)):
             records[f, np.uint64(CENTER) + axis] = centers[f, axis]
@@ -59,46 +59,46 @@ def fill_records(centers, rotations, scales, records):
 
 
 @kernel
-def place_chunks(tickets, local, index, records, world):
-    """Put chunks of Gaussians into the world until none is left (GGAvatar Eq. 6–8)."""
+def bind_chunks(tickets, local, index, records, world):
+    """Bind chunks of Gaussians until none is left (GGAvatar Eq. 6–8)."""
     count = np.int64(index.size)
-    local, index, records, world = bare(local), pointer(index, 0), pointer(records, 0), bare(world)
+    local, index, records, world = as_pointers(local), pointer(index, 0), pointer(records, 0), as_pointers(world)
     first = take_ticket(tickets, 0) * CHUNK
     while first < count:
         for begin in range(first, min(first + CHUNK, count), LANES):
-            place_group(local, face_columns(records, index, begin, count - 1), begin, count - 1, world)
+            bind_group(local, triangle_columns(records, index, begin, count - 1), begin, count - 1, world)
         first = take_ticket(tickets, 0) * CHUNK
 
 
 @inlined
-def place_group(local, face, first, last, world):
-    """Sixteen Gaussians in the world."""
+def bind_group(local, face, first, last, world):
+    """Bind sixteen Gaussians."""
     m = columns_3(local.means, first, last)
     x, y, z = dot(face[0:3], m) + face[9], dot(face[3:6], m) + face[10], dot(face[6:9], m) + face[11]
     store_columns(world.means, first * 3, (x, y, z))
     own = columns_4(local.quats, first, last)
-    store_columns(world.quats, first * 4, product(face[12:16], scaled(own, one_over_length(own))))
+    store_columns(world.quats, first * 4, product(face[12:16], scaled(own, inverse_lengths(own))))
     across = (face[0], face[3], face[6])
     size, logs = sqrt(dot(across, across)), columns_3(local.scales, first, last)
     store_columns(world.scales, first * 3, (size * exp(logs[0]), size * exp(logs[1]), size * exp(logs[2])))
 
 
 @kernel
-def return_chunks(tickets, local, index, records, upstream, world_scales, gradient):
+def backward_chunks(tickets, local, index, records, upstream, world_scales, gradient):
     """Gradients by the local geometry of chunks of Gaussians until none is left."""
     count = np.int64(index.size)
-    local, index, records, upstream = bare(local), pointer(index, 0), pointer(records, 0), bare(upstream)
-    world_scales, gradient = pointer(world_scales, 0), bare(gradient)
+    local, index, records, upstream = as_pointers(local), pointer(index, 0), pointer(records, 0), as_pointers(upstream)
+    world_scales, gradient = pointer(world_scales, 0), as_pointers(gradient)
     first = take_ticket(tickets, 0) * CHUNK
     while first < count:
         for begin in range(first, min(first + CHUNK, count), LANES):
-            face = face_columns(records, index, begin, count - 1)
-            return_group(local, face, begin, count - 1, upstream, world_scales, gradient)
+            face = triangle_columns(records, index, begin, count - 1)
+            backward_group(local, face, begin, count - 1, upstream, world_scales, gradient)
         first = take_ticket(tickets, 0) * CHUNK
 
 
 @inlined
-def return_group(local, face, first, last, upstream, world_scales, gradient):
+def backward_group(local, face, first, last, upstream, world_scales, gradient):
     """Gradients by the local geometry of sixteen Gaussians."""
     g = columns_3(upstream.means, first, last)
     x, y = dot((face[0], face[3], face[6]), g), dot((face[1], face[4], face[7]), g)
@@ -106,27 +106,27 @@ def return_group(local, face, first, last, upstream, world_scales, gradient):
     g, s = columns_3(upstream.scales, first, last), columns_3(world_scales, first, last)
     store_columns(gradient.scales, first * 3, (g[0] * s[0], g[1] * s[1], g[2] * s[2]))
     own = columns_4(local.quats, first, last)
-    inverse = one_over_length(own)
+    inverse = inverse_lengths(own)
     turned = product(conjugate(face[12:16]), columns_4(upstream.quats, first, last))
     store_columns(gradient.quats, first * 4, normalize_backward(turned, scaled(own, inverse), inverse))
 
 
 @inlined
-def bare(geometry):
-    """The geometry with pointers instead of arrays."""
-    return Geometry(pointer(geometry.means, 0), pointer(geometry.quats, 0), pointer(geometry.scales, 0))
+def as_pointers(geometry):
+    """The geometry as pointers."""
+    return GeometryArrays(pointer(geometry.means, 0), pointer(geometry.quats, 0), pointer(geometry.scales, 0))
 
 
 @inlined
-def one_over_length(quats):
-    """As `quaternions.inverse_length`, of sixteen quaternions."""
+def inverse_lengths(quats):
+    """`quaternions.inverse_length` of sixteen quaternions."""
     w, x, y, z = quats
     return np.float32(1) / maximum(sqrt(w * w + x * x + y * y + z * z), np.float32(1e-12))
 
 
 @inlined
-def face_columns(records, index, first, last):
-    """The records of the triangles of sixteen Gaussians, one vector a place; rows beyond `last` repeat it."""
+def triangle_columns(records, index, first, last):
+    """The triangle records of sixteen Gaussians as 16 vectors; Gaussians beyond `last` repeat it."""
     return transpose(
         (
             face(records, index, first, last), face(records, index, first + 1, last),
@@ -143,13 +143,13 @@ def face_columns(records, index, first, last):
 
 @inlined
 def face(records, index, n, last):
-    """The record of one Gaussian's triangle."""
+    """The triangle record of one Gaussian."""
     return load(records, index[min(n, last)] * RECORD)
 
 
 @kernel
 def add_to_faces(local, index, faces, upstream, world_scales, gradient):
-    """Add the gradients by the triangles to `gradient`, one Gaussian after the other."""
+    """Add the gradients by the triangles to `gradient`, in the order of the Gaussians."""
     for n in range(np.uint64(index.size)):
         f = np.uint64(index[n])
         size, m, g = faces.scales[f], local.means[n], upstream.means[n]
@@ -166,8 +166,8 @@ def add_to_faces(local, index, faces, upstream, world_scales, gradient):
             gradient.quats[f, part] += turned[part]
 
 
-def records_of(frames: tuple[Floats, Floats, Floats], quats: Floats | None) -> Floats:
-    """The records [F, 16] of triangles, given centres, rotations and sizes; their own quaternions if given none."""
+def triangle_records(frames: tuple[Floats, Floats, Floats], quats: Floats | None) -> Floats:
+    """Records [F, 16] from centers, rotations and sizes; quaternions follow from the rotations unless given."""
     records = np.empty((len(frames[0]), RECORD), np.float32)
     fill_records(*frames, records)
     if quats is not None:
@@ -175,18 +175,23 @@ def records_of(frames: tuple[Floats, Floats, Floats], quats: Floats | None) -> F
     return records
 
 
-def quats_in(records: Floats) -> Floats:
-    """The quaternions [F, 4] in records."""
+def record_quats(records: Floats) -> Floats:
+    """The quaternions [F, 4] of the records."""
     return np.ascontiguousarray(records[:, QUAT:])
 
 
-def place(local: Geometry, index: Indices, records: Floats, world: Geometry) -> None:
-    """Fill in the world's geometry of all Gaussians; its memory is for a multiple of sixteen rows."""
-    run_workers(place_chunks, -(-len(index) // CHUNK), local, index, records, world)
+def bind(local: GeometryArrays, index: Indices, records: Floats, world: GeometryArrays) -> None:
+    """Write the world geometry of all Gaussians; `world` has room for a multiple of sixteen rows."""
+    run_workers(bind_chunks, -(-len(index) // CHUNK), local, index, records, world)
 
 
-def give_back(
-    local: Geometry, index: Indices, records: Floats, upstream: Geometry, world_scales: Floats, gradient: Geometry
+def backward(
+    local: GeometryArrays,
+    index: Indices,
+    records: Floats,
+    upstream: GeometryArrays,
+    world_scales: Floats,
+    gradient: GeometryArrays,
 ) -> None:
-    """Fill in the gradients by the local geometry of all Gaussians; their memory is for a multiple of sixteen rows."""
-    run_workers(return_chunks, -(-len(index) // CHUNK), local, index, records, upstream, world_scales, gradient)
+    """Write the gradients by the local geometry; `gradient` has room for a multiple of sixteen rows."""
+    run_workers(backward_chunks, -(-len(index) // CHUNK), local, index, records, upstream, world_scales, gradient)

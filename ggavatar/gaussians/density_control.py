@@ -2,7 +2,7 @@
 
 The rule is 3D Gaussian Splatting's (Kerbl et al. 2023, Sec. 5.2) with the binding inheritance of GaussianAvatars (Qian
 et al. 2024, Sec. 3.3): children stay on their parent's face, and a face never loses its last Gaussian. `DensityControl`
-decides when.
+is the schedule.
 
 The rows hold the columns means [N, 3], quats [N, 4] and log_scales [N, 3] in units of their triangle and opacity_logits
 [N], and carry face [N], gradient [N] and seen [N].
@@ -21,19 +21,20 @@ from torch import Tensor
 from ggavatar.core import Rendering
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.optim.parameters import Rows
+from ggavatar.optim.schedules import scaled
 
 SPLIT_CHILDREN = 2
 SPLIT_SHRINK = 0.8 * SPLIT_CHILDREN
 
 
 def statistics(count: int, device: torch.device | str = "cpu") -> dict[str, Tensor]:
-    """Empty statistics as carried columns: summed gradient norms and the number of times each row was seen."""
+    """Statistics of zero as carried columns: sums of gradient norms, and how often each row was visible."""
     return {"gradient": torch.zeros(count, device=device), "seen": torch.zeros(count, device=device)}
 
 
 @torch.no_grad()
 def accumulate(rows: Rows, rendering: Rendering) -> None:
-    """Add the gradients of the projected centres to the statistics, per unit of an image 2 wide and 2 high (NDC)."""
+    """Add the gradients by the projected centers, in normalized device coordinates, to the statistics."""
     gradient = rendering.means2d.grad
     if gradient is None:
         return
@@ -45,7 +46,7 @@ def accumulate(rows: Rows, rendering: Rendering) -> None:
 
 
 def mean_gradients(rows: Rows) -> Float[Tensor, " N"]:
-    """Average gradient norm over the frames that saw each row; 0 where none did."""
+    """Mean gradient norm over the frames in which each row was visible; 0 for rows that never were."""
     return torch.nan_to_num(rows["gradient"] / rows["seen"], nan=0.0, posinf=0.0)
 
 
@@ -61,8 +62,9 @@ def split(
 ) -> None:
     """Replace every chosen row by two smaller ones, drawn from its own distribution.
 
-    The children's offsets use the standard deviation in the triangle's space, in which means live. With `face_scales`
-    (m) they use the world's, as GaussianAvatars' code does by mistake: children then lie too close to their parent.
+    The children's offsets use the standard deviation in the triangle's local space, like the means. With `face_scales`
+    (m) they use the one in world space, as GaussianAvatars' code does by mistake, so that children lie too close to
+    their parent.
     """
     parents = {name: values[chosen].repeat_interleave(SPLIT_CHILDREN, 0) for name, values in rows.columns().items()}
     deviation = parents["log_scales"].exp()
@@ -76,50 +78,50 @@ def split(
         "log_scales": parents["log_scales"] - math.log(SPLIT_SHRINK),
     }
     rows.append(children)
-    born = torch.zeros(len(children["means"]), dtype=torch.bool, device=chosen.device)
-    rows.take(torch.cat((~chosen, ~born)).nonzero().squeeze(-1))
+    new_rows = torch.zeros(len(children["means"]), dtype=torch.bool, device=chosen.device)
+    rows.take(torch.cat((~chosen, ~new_rows)).nonzero().squeeze(-1))
 
 
-def spare_last(doomed: Bool[Tensor, " N"], face: Int[Tensor, " N"]) -> Bool[Tensor, " N"]:
-    """`doomed` without the rows of every face that would be left bare."""
+def keep_last_per_face(to_prune: Bool[Tensor, " N"], face: Int[Tensor, " N"]) -> Bool[Tensor, " N"]:
+    """`to_prune` without the rows of every face that would lose all of them."""
     count = int(face.max()) + 1
     total = torch.bincount(face, minlength=count)
-    lost = torch.bincount(face[doomed], minlength=count)
-    return doomed & (lost < total)[face]
+    lost = torch.bincount(face[to_prune], minlength=count)
+    return to_prune & (lost < total)[face]
 
 
 @torch.no_grad()
-def prune(rows: Rows, doomed: Bool[Tensor, " N"]) -> None:
-    """Remove the doomed rows, except those of a face that would be left bare."""
-    rows.take((~spare_last(doomed, rows["face"])).nonzero().squeeze(-1))
+def prune(rows: Rows, to_prune: Bool[Tensor, " N"]) -> None:
+    """Remove the rows `to_prune`, except those of a face that would lose all of them."""
+    rows.take((~keep_last_per_face(to_prune, rows["face"])).nonzero().squeeze(-1))
 
 
 @torch.no_grad()
 def reset_opacity(rows: Rows, ceiling: float = 0.01) -> None:
-    """Lower every opacity to at most `ceiling` and forget the moments of the column."""
+    """Lower every opacity to at most `ceiling` and reset the moments of the column."""
     rows.replace("opacity_logits", rows["opacity_logits"].clamp_max(math.log(ceiling / (1 - ceiling))))
 
 
 @dataclass(frozen=True)
 class DensityControl:
-    """When to grow, split, prune and reset, and by which thresholds.
+    """Schedule and thresholds of growing, splitting, pruning and opacity resets.
 
     Attributes:
-        start: No density control up to and including this step.
-        stop: None after this step.
+        start: Last step without density control.
+        stop: Last step with density control.
         interval: Steps between two rounds.
         reset_interval: Steps between two opacity resets.
-        resetting: Whether there are resets; without them `reset_interval` still says when large rows begin to be
-            removed.
-        reset_at_start: Reset at `start` too (3DGS does on a white background).
-        gradient: Mean NDC gradient norm from which a row grows.
-        extent: Size of the scene the two scale limits are relative to, m.
-        grow_scale: Rows up to this share of the extent are copied, larger ones split.
-        prune_scale: Rows above this share are removed once `reset_interval` steps have passed.
+        resetting: Whether opacities are reset; without resets `reset_interval` is still the step after which large rows
+            are removed.
+        reset_at_start: Reset at `start` too (3DGS does so on a white background).
+        gradient: Mean gradient norm in normalized device coordinates from which a row grows.
+        extent: Size of the scene that the two scale limits are relative to, m.
+        grow_scale: Rows up to this fraction of the extent are copied, larger ones are split.
+        prune_scale: Rows above this fraction are removed once `reset_interval` steps have passed.
         prune_opacity: Rows below this opacity are removed.
-        budget: Largest number of rows; those with the largest gradients grow first.
-        ramp: Whether the budget opens evenly from the first round to the last, so that coarse images are not drawn with
-            rows only fine ones need (as DashGaussian couples the two); otherwise all of it is there from the start.
+        budget: Maximum number of rows; those with the largest gradients grow first.
+        ramp: Whether the budget becomes available evenly over the rounds, so that coarse-resolution steps do not render
+            rows that only fine ones need (coupled as in DashGaussian), or all of it in the first round.
         split_in: Space of the standard deviations that spread the children of a split; see `split`.
     """
 
@@ -139,7 +141,7 @@ class DensityControl:
     split_in: Literal["local", "world"] = "local"
 
     def is_active(self, step: int) -> bool:
-        """Whether statistics are kept at this step."""
+        """Whether statistics are accumulated at this step."""
         return step <= self.stop
 
     def is_due(self, step: int) -> bool:
@@ -153,9 +155,13 @@ class DensityControl:
         return step % self.reset_interval == 0 or (self.reset_at_start and step == self.start)
 
     def apply(self, rows: Rows, step: int, face_scales: Float[Tensor, " F"], generator: torch.Generator) -> bool:
-        """Do what is due after `step`.
+        """Perform the round and the reset that are due after `step`; true if rows may have been added or removed.
 
-        `face_scales` in m turn local scales into world ones. True if rows were added or removed.
+        Args:
+            rows: The Gaussians; changed in place.
+            step: The step just completed.
+            face_scales: Size of every triangle, m, which converts local scales to world scales.
+            generator: Draws the children of splits.
         """
         changed = self.is_due(step)
         if changed:
@@ -171,15 +177,15 @@ class DensityControl:
         grow(rows, growing & small)
         spread = face_scales if self.split_in == "world" else None
         split(rows, torch.cat((growing & ~small, growing.new_zeros(copies))), generator, spread)
-        doomed = rows["opacity_logits"].detach().sigmoid() < self.prune_opacity
+        to_prune = rows["opacity_logits"].detach().sigmoid() < self.prune_opacity
         if step > self.reset_interval:
-            doomed |= _world_sizes(rows, face_scales) > self.prune_scale * self.extent
-        prune(rows, doomed)
+            to_prune |= _world_sizes(rows, face_scales) > self.prune_scale * self.extent
+        prune(rows, to_prune)
         rows["gradient"].zero_()
         rows["seen"].zero_()
 
     def _within_budget(self, gradients: Tensor, step: int) -> Tensor:
-        """Rows that shall grow: above the threshold, and at most as many as the budget has room for."""
+        """Mask of the rows to grow: above the threshold, and no more than the budget allows."""
         growing = gradients >= self.gradient
         room = max(self.budget - len(gradients), 0)
         if self.ramp:
@@ -192,6 +198,18 @@ class DensityControl:
         return growing
 
 
+def scaled_schedule(
+    start: int, stop: int, interval: int, reset_interval: int, steps: int, iterations: int
+) -> tuple[int, int, int, int]:
+    """The first four fields of `DensityControl` for a training of `steps`, from those for one of `iterations`.
+
+    Short trainings keep an interval of 20 steps, or of 10 to 20 steps to have 30 rounds, and 10 rounds between resets.
+    """
+    first, last = scaled(start, steps, iterations), scaled(stop, steps, iterations)
+    between = max(min(max(20, scaled(interval, steps, iterations)), (last - first) // 30), 10)
+    return first, last, between, max(scaled(reset_interval, steps, iterations), 10 * between)
+
+
 def _world_sizes(rows: Rows, face_scales: Tensor) -> Tensor:
-    """Largest standard deviation of every row, m."""
+    """Largest standard deviation of every row in world space, m."""
     return rows["log_scales"].detach().exp().amax(-1) * face_scales[rows["face"]]

@@ -1,4 +1,4 @@
-"""First colours of Gaussians, read off training frames by the weight with which each contributes to each pixel."""
+"""Initial colors of Gaussians: means of training pixels, weighted by each Gaussian's contribution to each pixel."""
 
 from __future__ import annotations
 
@@ -12,27 +12,30 @@ from torch import Tensor
 from ggavatar.core import Drive, Frame, Gaussians, Rasterizer
 
 SH_C0 = 0.28209479177387814
-"""The constant spherical harmonic: colour = 0.5 + SH_C0 · coefficient."""
+"""The constant spherical harmonic: color = 0.5 + SH_C0 · coefficient."""
 
 
 def splatted_colors(
     pose: Callable[[Drive], Gaussians], frames: Sequence[Frame], rasterize: Rasterizer, least_weight: float = 0.1
 ) -> Float[Tensor, "N 3"]:
-    """The mean colour of the person's pixels a Gaussian is blended into, weighted by its share of them.
+    """Mean color of the foreground pixels that a Gaussian is blended into, weighted by its contribution to them.
 
-    The weights are the rasteriser's own derivatives with respect to colour, so any backend will do. Pixels count as far
-    as they are foreground: in the background's colour a Gaussian beside the person costs nothing, stays, and hides the
-    person in other poses (docs/experiments/2026-11-29-initial-colours-from-the-person.md).
+    The weights are the rasterizer's derivatives with respect to color, so any backend works. Pixels are weighted by
+    their coverage: a Gaussian beside the person would otherwise start in the background's color, cost nothing, stay,
+    and hide the person in other poses (docs/experiments/2026-11-29-initial-colours-from-the-person.md).
 
     Args:
-        pose: Gaussians of a drive; their colours are not used.
-        frames: What they are compared with.
-        rasterize: The renderer.
-        least_weight: Gaussians with less weight in total (hidden ones, and those never before the person) get the mean
-            colour of the others.
+        pose: Returns the Gaussians of a drive; their colors are not used.
+        frames: The training frames to read colors from.
+        rasterize: The rasterizer.
+        least_weight: Gaussians with a smaller total weight (hidden ones, and those never in front of the person) get
+            the mean color of the others.
 
     Returns:
-        sRGB in [0, 1].
+        sRGB colors in [0, 1].
+
+    Raises:
+        ValueError: There is no frame.
 
     References:
         c = Σ w α I / Σ w α; without the mask α, RGBAvatar's start (Li et al. 2025).
@@ -42,21 +45,21 @@ def splatted_colors(
         with torch.no_grad():
             posed = pose(frame.drive)
         colors = torch.zeros_like(posed.means).requires_grad_()
-        drawn = rasterize(
+        rendering = rasterize(
             dataclasses.replace(posed, colors=colors, sh_degree=None), frame.camera, torch.zeros_like(colors[0])
         )
-        weighted = torch.autograd.grad(drawn.image, colors, frame.image * frame.alpha, retain_graph=True)[0]
-        weight = torch.autograd.grad(drawn.image, colors, frame.alpha.expand_as(frame.image))[0]
+        weighted = torch.autograd.grad(rendering.image, colors, frame.image * frame.alpha, retain_graph=True)[0]
+        weight = torch.autograd.grad(rendering.image, colors, frame.alpha.expand_as(frame.image))[0]
         found = torch.cat((weighted, weight[:, :1]), dim=1)
         totals = found if totals is None else totals + found
     if totals is None:
-        raise ValueError("expected at least one frame to read colours from")
+        raise ValueError("expected at least one frame to read colors from")
     seen = totals[:, 3] > least_weight
     colors = totals[:, :3] / totals[:, 3:].clamp_min(least_weight)
-    usual = colors[seen].mean(0) if bool(seen.any()) else torch.full_like(colors[0], 0.5)
-    return torch.where(seen[:, None], colors, usual).clamp(0, 1)
+    mean = colors[seen].mean(0) if bool(seen.any()) else torch.full_like(colors[0], 0.5)
+    return torch.where(seen[:, None], colors, mean).clamp(0, 1)
 
 
 def rgb_to_sh(colors: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-    """Coefficients of the constant spherical harmonic that show as `colors`."""
+    """Coefficients of the constant spherical harmonic for sRGB colors in [0, 1]."""
     return (colors - 0.5) / SH_C0

@@ -1,4 +1,4 @@
-"""Gaussians bound to triangles, before the first step: one a triangle (GaussianAvatars, Sec. 3.2)."""
+"""Initialization of Gaussians bound to triangles: one per triangle (GaussianAvatars, Sec. 3.2)."""
 
 from __future__ import annotations
 
@@ -14,28 +14,31 @@ from ggavatar.optim.parameters import Column, Rows
 
 @dataclass(frozen=True)
 class BoundRates:
-    """Learning rates of the columns."""
+    """Learning rates of the columns of bound Gaussians."""
 
     means: float = 5e-3
-    """Of local positions, triangle units."""
+    """Rate of local positions, triangle units."""
     quats: float = 1e-3
-    """Of local quaternions."""
+    """Rate of local quaternions."""
     log_scales: float = 5e-3
-    """Of the logarithms of local scales."""
+    """Rate of the logarithms of local scales."""
     opacity_logits: float = 0.05
-    """Of opacity logits."""
+    """Rate of opacity logits."""
     sh: float = 2.5e-3
-    """Of the constant spherical harmonic; the others learn at a 20th."""
+    """Rate of the constant spherical harmonic; the rate of the others is 1/20 of it."""
 
 
 def bound_rows(head: HeadModel, rates: BoundRates, sh_degree: int, generator: torch.Generator) -> Rows:
-    """One Gaussian at the centroid of every triangle, as large as it, of opacity 0.1 and grey.
+    """One gray Gaussian of opacity 0.1 at the centroid of every triangle, as large as the triangle.
 
     Args:
-        head: Its triangles; the rows are on its device.
+        head: The head whose triangles carry the Gaussians; the rows are on its device.
         rates: Learning rates.
-        sh_degree: Highest degree of the spherical harmonics; above 0 there is a column `sh_rest`.
-        generator: Of the grey's last digits, on the CPU.
+        sh_degree: Highest degree of the spherical harmonics, 0 to 3; above 0 there is a column `sh_rest`.
+        generator: A generator on the CPU for the small random part of the gray.
+
+    Raises:
+        InputError: `sh_degree` is out of range.
     """
     if not 0 <= sh_degree <= 3:
         raise InputError(f"sh_degree: expected 0 to 3, found {sh_degree}")

@@ -1,4 +1,4 @@
-"""Offsets of Gaussians and the refined ⊕ that applies them (GGAvatar Eq. 11–12)."""
+"""Offsets of Gaussians and the operator ⊕ that applies them (GGAvatar Eq. 11–12)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from ggavatar.gaussians.binding import WorldGeometry
 from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 
-COLOUR = 10
-"""Column of the first colour row, if there are any."""
+GEOMETRY_ROWS = 10
+"""Rows of an offset for geometry: position 3, rotation 4, log-scale 3."""
+COLOR_ROWS = 3
+"""Rows of an offset for color, after those for geometry; optional."""
 
 
 class Offsets(NamedTuple):
-    """The product W·f of every Gaussian, without units; several conditions add a leading axis.
+    """The product W·f of every Gaussian, dimensionless; several conditions add a leading axis.
 
     Attributes:
-        rows: Position 3, rotation 4 and log-scale 3; with colour 3 more.
+        rows: `GEOMETRY_ROWS` numbers per Gaussian, or `COLOR_ROWS` more.
     """
 
     rows: Float[Tensor, "*B N R"]
@@ -39,20 +42,12 @@ class Offsets(NamedTuple):
     @property
     def log_scales(self) -> Float[Tensor, "*B N 3"]:
         """Δs."""
-        return self.rows[..., 7:COLOUR]
+        return self.rows[..., 7:GEOMETRY_ROWS]
 
     @property
     def colors(self) -> Float[Tensor, "*B N 3"] | None:
-        """Colour offsets, if the basis has rows for them."""
-        return self.rows[..., COLOUR:] if self.rows.shape[-1] > COLOUR else None
-
-
-class Refined(NamedTuple):
-    """Refined geometry in the world: m, unit quaternions wxyz, m."""
-
-    means: Float[Tensor, "N 3"]
-    quats: Float[Tensor, "N 4"]
-    scales: Float[Tensor, "N 3"]
+        """Color offsets; None if the basis has no color rows."""
+        return self.rows[..., GEOMETRY_ROWS:] if self.rows.shape[-1] > GEOMETRY_ROWS else None
 
 
 def refine(
@@ -62,23 +57,23 @@ def refine(
     offsets: Offsets,
     unit: float = 0.01,
     rotation: Literal["product", "add"] = "product",
-) -> Refined:
-    """The refined ⊕ of Eq. 12; zero offsets leave everything as it is.
+) -> WorldGeometry:
+    """The operator ⊕ of Eq. 12, refined; zero offsets change nothing.
 
     Args:
-        means: Positions carried by the mesh, m.
-        quats: Unit quaternions carried by the mesh, wxyz.
-        scales: Standard deviations carried by the mesh, m.
+        means: Positions after binding, m.
+        quats: Unit quaternions after binding, wxyz.
+        scales: Standard deviations after binding, m.
         offsets: W·f of one condition.
-        unit: Metres per unit of the position offset (docs/paper.md, A6).
-        rotation: "product" turns by the unit quaternion of (1, 0, 0, 0) + Δr in world axes, whatever the sign of
-            `quats` (A4); "add" adds Δr to the quaternion and normalises, as TalkingGaussian does.
+        unit: Meters per unit of the position offset (docs/paper.md, A6).
+        rotation: "product" rotates by the unit quaternion of (1, 0, 0, 0) + Δr in world axes, which is independent of
+            the sign of `quats` (A4); "add" adds Δr to the quaternion and normalizes, as in TalkingGaussian.
 
     Returns:
-        Means + unit·Δμ, unit quaternions, and scales · exp(Δs) (A5).
+        Means + unit·Δμ, rotated unit quaternions, and scales · exp(Δs) (A5).
     """
     if rotation == "product" and compiled_for(means, quats, scales, offsets.rows):
-        return Refined(*_CompiledRefine.apply(means, quats, scales, offsets.rows, unit))
+        return WorldGeometry(*_CompiledRefine.apply(means, quats, scales, offsets.rows, unit))
     return refine_in_torch(means, quats, scales, offsets, unit, rotation)
 
 
@@ -89,14 +84,14 @@ def refine_in_torch(
     offsets: Offsets,
     unit: float = 0.01,
     rotation: Literal["product", "add"] = "product",
-) -> Refined:
+) -> WorldGeometry:
     """`refine` in plain torch: any dtype and device."""
     if rotation == "add":
         turned = normalize(quats + offsets.rotations, dim=-1)
     else:
         identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
         turned = quaternion_multiply(normalize(identity + offsets.rotations, dim=-1), quats)
-    return Refined(means + unit * offsets.means, turned, scales * torch.exp(offsets.log_scales))
+    return WorldGeometry(means + unit * offsets.means, turned, scales * torch.exp(offsets.log_scales))
 
 
 class _CompiledRefine(torch.autograd.Function):
@@ -106,11 +101,11 @@ class _CompiledRefine(torch.autograd.Function):
     def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
         from ggavatar.gaussians import offsets_kernel as kernels
 
-        *placed, rows, ctx.unit = inputs
-        ctx.placed = kernels.Geometry(*(_array(value) for value in placed))
+        *bound, rows, ctx.unit = inputs
+        ctx.bound = kernels.GeometryArrays(*(_array(value) for value in bound))
         ctx.rows = _array(rows)
-        refined = tuple(padded(*value.shape) for value in placed)
-        kernels.refine(ctx.placed, ctx.rows, ctx.unit, kernels.Geometry(*(memory_of(value) for value in refined)))
+        refined = tuple(padded(*value.shape) for value in bound)
+        kernels.refine(ctx.bound, ctx.rows, ctx.unit, kernels.GeometryArrays(*(memory_of(value) for value in refined)))
         return refined
 
     @staticmethod
@@ -119,9 +114,9 @@ class _CompiledRefine(torch.autograd.Function):
 
         _, quats, scales = (padded(*value.shape) for value in upstream)
         to_rows = torch.zeros(ctx.rows.shape)
-        wanted = kernels.Geometry(*(_array(value) for value in upstream))
-        found = kernels.Geometry(wanted.means, memory_of(quats), memory_of(scales))
-        kernels.give_back(ctx.placed, ctx.rows, ctx.unit, wanted, found, to_rows.numpy())
+        wanted = kernels.GeometryArrays(*(_array(value) for value in upstream))
+        found = kernels.GeometryArrays(wanted.means, memory_of(quats), memory_of(scales))
+        kernels.backward(ctx.bound, ctx.rows, ctx.unit, wanted, found, to_rows.numpy())
         return upstream[0], quats, scales, to_rows, None
 
 

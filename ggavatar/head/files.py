@@ -1,9 +1,10 @@
-"""`head.npz`: a head model on disk without pickled objects (docs/capture-format.md)."""
+"""`head.npz`: a head model on disk without pickled objects (docs/capture-format.md).
+
+The checks are written out here: schema libraries such as pydantic validate JSON, not the shapes and values of arrays.
+"""
 
 from __future__ import annotations
 
-import io
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from ggavatar.errors import InputError
+from ggavatar.head.array_shapes import describe_shape, shape_fits
 from ggavatar.head.model import HeadModel
+from ggavatar.io.atomic import write_atomically
 from ggavatar.io.npz import npz_headers, read_npz
 
 MAX_VERTICES = 2_000_000
@@ -23,7 +26,7 @@ _REGION = "region/"
 
 
 def save_head(head: HeadModel, path: Path | str) -> None:
-    """Write a head as `head.npz`; the file appears whole or not at all."""
+    """Write a head as `head.npz`, atomically."""
     arrays: dict[str, ndarray] = {name: getattr(head, name).detach().cpu().numpy() for name in (*_REAL, "faces")}
     arrays |= {
         "parents": np.asarray(head.parents, np.int64),
@@ -33,20 +36,15 @@ def save_head(head: HeadModel, path: Path | str) -> None:
     arrays |= {_REGION + name: rows.cpu().numpy() for name, rows in head.regions.items()}
     optional = {name: getattr(head, name) for name in _OPTIONAL}
     arrays |= {name: value.detach().cpu().numpy() for name, value in optional.items() if value is not None}
-    path = Path(path)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(buffer.getvalue())
-    os.replace(partial, path)
+    write_atomically(Path(path), lambda stream: np.savez_compressed(stream, allow_pickle=False, **arrays))
 
 
 def load_head(path: Path | str) -> HeadModel:
-    """Read `head.npz` (float32, CPU), checked key by key.
+    """Read a head model from `head.npz`, float32 on the CPU; every key is checked.
 
     Raises:
-        InputError: The file is missing, not an npz, too large, or a key is missing, misshapen, out of range or not
-            finite.
+        InputError: The file is missing, not an npz or too large; or a key is missing or has a wrong shape or type, an
+            index out of range or a number that is not finite.
     """
     arrays = _read(Path(path))
     check = _Checks(Path(path), arrays)
@@ -74,7 +72,7 @@ def load_head(path: Path | str) -> HeadModel:
 
 
 def _read(path: Path) -> dict[str, ndarray]:
-    """All arrays of the file that mean something here."""
+    """The known arrays of the file; others are ignored."""
     if not path.is_file():
         raise InputError(
             f"expected a head model file (head.npz), found {'a folder' if path.is_dir() else 'nothing'} at {path}"
@@ -84,7 +82,7 @@ def _read(path: Path) -> dict[str, ndarray]:
 
 
 class _Checks:
-    """Checks of single keys; every message names the file and the key."""
+    """Checks of single keys; messages name the file and the key."""
 
     def __init__(self, path: Path, arrays: dict[str, ndarray]) -> None:
         self._path, self._arrays = path, arrays
@@ -101,14 +99,14 @@ class _Checks:
             )
 
     def sizes(self) -> int:
-        """Number of vertices."""
+        """Number of vertices, from the template."""
         template = self._arrays["template"]
         self._require(template.ndim == 2 and template.shape[1] == 3, "template", "shape [V, 3]")
         self._require(0 < len(template) <= MAX_VERTICES, "template", f"1 to {MAX_VERTICES} vertices")
         return len(template)
 
     def real(self, key: str, vertices: int) -> Float[ndarray, "..."]:
-        """A floating-point array of the right shape, finite, as float32."""
+        """A finite floating-point array of the expected shape, as float32."""
         value = self._arrays[key]
         joints = self._arrays["joint_regressor"].shape[0]
         shapes = {
@@ -120,7 +118,7 @@ class _Checks:
             "skinning_weights": (vertices, joints),
         }
         self._require(value.dtype.kind == "f", key, "floating point")
-        self._require(_fits(value.shape, shapes[key]), key, f"shape {_shown(shapes[key])}")
+        self._require(shape_fits(value.shape, shapes[key]), key, f"shape {describe_shape(shapes[key])}")
         self._require(bool(np.isfinite(value).all()), key, "finite numbers only")
         if key == "pose_basis":
             self._require(value.shape[2] in (0, 9 * (joints - 1)), key, f"0 or {9 * (joints - 1)} pose correctives")
@@ -142,13 +140,13 @@ class _Checks:
         return np.ascontiguousarray(value, np.int64)
 
     def faces(self, vertices: int) -> Int[ndarray, "F 3"]:
-        """Triangles."""
+        """Vertex indices of the triangles."""
         value = self._arrays["faces"]
         self._require(value.ndim == 2 and value.shape[1] == 3 and len(value) > 0, "faces", "shape [F, 3] with F > 0")
         return self.rows("faces", vertices)
 
     def parents(self, joints: int) -> tuple[int, ...]:
-        """Parents: −1 first, each before its children."""
+        """Parent joints: −1 first, and every parent before its children."""
         value = self._arrays["parents"]
         self._require(
             value.dtype.kind in "iu" and value.shape == (joints,) and joints > 0, "parents", f"{joints} integers"
@@ -165,7 +163,7 @@ class _Checks:
         return names
 
     def text(self, key: str, dimensions: int) -> ndarray:
-        """Unicode."""
+        """A Unicode array with the given number of dimensions."""
         value = self._arrays[key]
         self._require(
             value.dtype.kind == "U" and value.ndim == dimensions, key, f"unicode with {dimensions} dimensions"
@@ -173,7 +171,7 @@ class _Checks:
         return value
 
     def uv(self) -> Float[ndarray, "F 3 2"]:
-        """Texture coordinates, one per corner."""
+        """Texture coordinates, one for each corner of every face."""
         value = self._arrays["uv"]
         self._require(value.dtype.kind == "f", "uv", "floating point")
         self._require(value.shape == (len(self._arrays["faces"]), 3, 2), "uv", "shape [F, 3, 2]")
@@ -181,7 +179,7 @@ class _Checks:
         return np.ascontiguousarray(value, np.float32)
 
     def landmark_weights(self) -> Float[ndarray, "L 3"]:
-        """Barycentric weights, three for each landmark; the region of their corners must be there too."""
+        """Barycentric weights, three for each landmark; the region of their corners must be in the file too."""
         value, corners = self._arrays["landmark_weights"], self._arrays.get(_REGION + "landmarks", np.zeros(0))
         self._require(value.dtype.kind == "f", "landmark_weights", "floating point")
         self._require(
@@ -189,13 +187,3 @@ class _Checks:
         )
         self._require(bool(np.isfinite(value).all()), "landmark_weights", "finite numbers only")
         return np.ascontiguousarray(value, np.float32)
-
-
-def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(shape) == len(wanted) and all(
-        want is None or want == size for size, want in zip(shape, wanted, strict=True)
-    )
-
-
-def _shown(wanted: tuple[int | None, ...]) -> str:
-    return "[" + ", ".join("any" if size is None else str(size) for size in wanted) + "]"

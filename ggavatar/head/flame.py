@@ -1,6 +1,6 @@
 """FLAME model files (the official pickles, or an npz with the same keys) as a `HeadModel` with an identity folded in.
 
-FLAME's licence does not allow redistribution: the file is the user's. Layout: Li et al. 2017 and smplx; no chumpy is
+FLAME's license does not allow redistribution, so users supply the file. Layout: Li et al. 2017 and smplx; chumpy is not
 needed.
 """
 
@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 
 from ggavatar.errors import InputError
+from ggavatar.head.array_shapes import describe_shape, shape_fits
 from ggavatar.head.model import HeadModel
 from ggavatar.io.npz import read_npz
 from ggavatar.io.restricted_pickle import read_pickle
@@ -31,14 +32,14 @@ def load_flame(
     """Read a FLAME file and fold an identity into its template.
 
     Args:
-        path: `generic_model.pkl`, `flame2023.pkl` or an npz with the same keys. Beside it, `l_eyelid.npy` and
-            `r_eyelid.npy` (metrical-tracker) give the lids and `FLAME_masks.pkl` the regions.
+        path: `generic_model.pkl`, `flame2023.pkl` or an npz with the same keys. If they are in the same folder,
+            `l_eyelid.npy` and `r_eyelid.npy` (metrical-tracker) supply the eyelids and `FLAME_masks.pkl` the regions.
         shape: Identity coefficients, at most as many as the file has; None is the mean face.
         version: Tag of the parameter space; None derives it from the file's name.
-        expressions: How many expression coefficients to keep.
+        expressions: Number of expression coefficients to keep.
 
     Raises:
-        InputError: Not a FLAME file, or arrays whose shapes do not fit together.
+        InputError: The file is not a FLAME model, or the shapes of its arrays do not fit together.
     """
     arrays = _read(path)
     count = len(arrays["v_template"])
@@ -61,12 +62,12 @@ def load_flame(
 
 
 def flame_version(path: Path) -> str:
-    """The tag of a FLAME file by its name: `flame2023` if the name says so, else `flame2020` (generic_model.pkl)."""
+    """The version tag of a FLAME file: `flame2023` if its name contains 2023, else `flame2020` (generic_model.pkl)."""
     return "flame2023" if "2023" in path.name else "flame2020"
 
 
 def is_flame(path: Path) -> bool:
-    """Whether a head-model file is FLAME's layout rather than ours."""
+    """Whether a head-model file has FLAME's layout (a pickle, or an npz with `v_template`) rather than ours."""
     if path.suffix.lower() in (".pkl", ".pickle"):
         return True
     return path.suffix.lower() == ".npz" and "v_template" in read_npz(path, ["v_template"])
@@ -77,7 +78,7 @@ def _float(array: np.ndarray) -> torch.Tensor:
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of the file, checked."""
+    """The arrays of the file; `InputError` if one is missing or has a wrong shape, type or value."""
     content = read_npz(path, _KEYS) if path.suffix.lower() == ".npz" else read_pickle(path)
     if not isinstance(content, Mapping):
         raise InputError(f"{path}: expected a FLAME model, found {type(content).__name__}")
@@ -93,7 +94,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Shapes that fit together, finite numbers, faces and parents in range."""
+    """Refuse arrays of wrong shapes, numbers that are not finite, and faces or parents out of range."""
     vertices, joints = len(arrays["v_template"]), len(JOINT_NAMES)
     wanted: dict[str, tuple[int | None, ...]] = {
         "v_template": (vertices, 3),
@@ -106,36 +107,35 @@ def _check(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     }
     for key, shape in wanted.items():
         array = arrays[key]
-        fits = array.ndim == len(shape) and all(
-            want in (None, size) for want, size in zip(shape, array.shape, strict=False)
-        )
-        if not fits or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        if not shape_fits(array.shape, shape) or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             raise InputError(
-                f"{path}: expected finite numbers of shape {shape} for {key!r}, found {array.dtype} {array.shape}"
+                f"{path}: expected finite numbers of shape {describe_shape(shape)} for {key!r}, found {array.dtype} "
+                f"{list(array.shape)}; use generic_model.pkl or flame2023.pkl as downloaded"
             )
     faces = arrays["f"]
     if faces.size == 0 or faces.min() < 0 or faces.max() >= vertices:
-        raise InputError(f"{path}: faces point outside the {vertices} vertices")
+        found = f"{faces.min()} to {faces.max()}" if faces.size else "no faces"
+        raise InputError(f"{path}: expected vertex indices from 0 to {vertices - 1} in 'f', found {found}")
     parents = arrays["kintree_table"][0].astype(np.int64).astype(np.int32)
     if parents[0] != -1 or not all(0 <= parent < child for child, parent in enumerate(parents[1:], start=1)):
         raise InputError(f"{path}: expected the parents -1 0 1 1 1 in 'kintree_table', found {parents.tolist()}")
 
 
 def _identity(path: Path, basis: np.ndarray, shape: np.ndarray | None) -> np.ndarray | float:
-    """Displacement of the template by identity coefficients."""
+    """Displacement of the template for identity coefficients, or 0 for the mean face."""
     if shape is None or not np.any(shape):
         return 0.0
     if len(shape) > basis.shape[2] and np.any(shape[basis.shape[2] :]):
         raise InputError(
-            f"{path}: the tracking has {len(shape)} identity coefficients, the model {basis.shape[2]}; use the "
-            "full model"
+            f"{path}: the tracking has {len(shape)} identity coefficients, the model only {basis.shape[2]}; use the "
+            "full FLAME model"
         )
     used = min(len(shape), basis.shape[2])
     return basis[:, :, :used] @ np.asarray(shape[:used], dtype=np.float64)
 
 
 def _eyelids(folder: Path, count: int) -> np.ndarray:
-    """Lid displacements of metrical-tracker if they lie beside the model, else zeros."""
+    """Eyelid displacements of metrical-tracker if their files are in the model's folder, else zeros."""
     lids = np.zeros((count, 3, 2))
     for side, name in enumerate(_LID_FILES):
         if (folder / name).is_file():
@@ -147,19 +147,21 @@ def _lid(path: Path, count: int) -> np.ndarray:
     try:
         lid = np.load(path, allow_pickle=False, max_header_size=10_000)
     except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: expected an array of lid displacements ({error})") from error
+        raise InputError(
+            f"{path}: expected an array of eyelid displacements, found something else ({error})"
+        ) from error
     if (
         not isinstance(lid, np.ndarray)
         or lid.shape != (count, 3)
         or lid.dtype.kind != "f"
         or not np.isfinite(lid).all()
     ):
-        raise InputError(f"{path}: expected finite numbers of shape ({count}, 3)")
+        raise InputError(f"{path}: expected finite floating-point numbers of shape [{count}, 3]")
     return lid
 
 
 def _regions(path: Path, count: int) -> dict[str, torch.Tensor]:
-    """Vertex sets of FLAME_masks.pkl if it is there."""
+    """Vertex sets of FLAME_masks.pkl if it exists, else none."""
     if not path.is_file():
         return {}
     content: Any = read_pickle(path)

@@ -1,7 +1,9 @@
-"""The head pose as methods may use it: a torso that does not turn with the head, and a bounded condition for networks.
+"""Uses of the head pose: a torso that does not turn with the head, and a bounded condition vector for networks.
 
-Trackers that put the head pose into the camera leave the head still; whatever does not move with it (shoulders, a
-collar, long hair) then moves in head space. Both uses below read `Drive.head_to_camera`.
+Trackers that put the head pose into the camera leave the head still in the world; whatever does not move with the head
+(shoulders, a collar, long hair) then moves in head space. Both uses read `Drive.head_to_camera`.
+
+The mean rotation is the SVD projection in torch, not scipy's `Rotation.mean`: trained avatars depend on its last bits.
 """
 
 from __future__ import annotations
@@ -22,13 +24,13 @@ POSE_FEATURES = 9
 
 @dataclass(frozen=True)
 class HeadPoses:
-    """What the training frames say about the head pose.
+    """Mean and range of the head pose over the training frames.
 
     Attributes:
-        reference: Mean pose, head to camera; a torso at rest is taken to be posed like this.
-        low: Smallest value of each raw feature in training.
-        high: Largest value of each raw feature in training.
-        in_camera: Whether the tracker put the head pose into the camera in all frames, root and neck being unturned.
+        reference: Mean pose, head to camera; also the assumed pose of a torso at rest.
+        low: Minimum of each raw feature (`condition`) in training.
+        high: Maximum of each raw feature in training.
+        in_camera: Whether the tracker put the head pose into the camera: root and neck are unrotated in all frames.
     """
 
     reference: Float[Tensor, "4 4"]
@@ -38,7 +40,7 @@ class HeadPoses:
 
     @staticmethod
     def of(head: HeadModel, drives: Sequence[Drive]) -> HeadPoses:
-        """Summarise the drives of the training frames; without any, the head is at rest in front of the camera."""
+        """Summarize the drives of the training frames; without drives, use the neutral one."""
         drives = drives or [head.neutral_drive()]
         poses = torch.stack([drive.head_to_camera for drive in drives])
         left, _, right = torch.linalg.svd(poses[:, :3, :3].mean(0))
@@ -52,24 +54,24 @@ class HeadPoses:
         return HeadPoses(reference, features.amin(0), features.amax(0), in_camera)
 
     def condition(self, drive: Drive) -> Float[Tensor, "9"]:
-        """Head rotation (6D) and translation against the reference, each scaled by its training range to [−1, 1].
+        """Head rotation (6D) and translation relative to the reference, each scaled to [−1, 1] by its training range.
 
-        Poses beyond the training range give its border: a network is never asked about what it has not seen.
+        Poses outside the training range are clamped to it, so that a network sees no values it was not trained on.
         """
         raw = _relative(drive.head_to_camera[None], self.reference)[0]
         middle, half = (self.high + self.low) / 2, (self.high - self.low) / 2
         return ((raw - middle) / half.clamp_min(1e-4)).clamp(-1, 1)
 
     def torso(self, drive: Drive) -> Float[Tensor, "4 4"]:
-        """Rigid motion of the torso in head space: to where it was followed, or to its rest before the camera."""
+        """Rigid transform of the torso in head space, from its tracked pose or else the reference pose."""
         seen = self.reference if drive.torso_to_camera is None else drive.torso_to_camera
         return invert_rigid(drive.head_to_camera) @ seen
 
     def hold_torso(self, vertices: Float[Tensor, "V 3"], drive: Drive, head: HeadModel) -> Float[Tensor, "V 3"]:
-        """Vertices in head space, m, with what hangs on the root joint held where the torso is before the camera.
+        """Vertices in head space, m, with those skinned to the root joint moved to the torso's pose.
 
-        This is linear blend skinning by the neck with the head as the fixed end. Where the tracker turns root or neck
-        itself, skinning has done so already and nothing changes.
+        This is linear blend skinning about the neck with the head as the fixed end. Where the tracker itself rotates
+        root or neck, skinning has already done this and the vertices are returned unchanged.
         """
         if not self.in_camera:
             return vertices

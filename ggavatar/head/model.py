@@ -1,4 +1,4 @@
-"""One linear-blend-skinned head. FLAME, the procedural head and tracked heads differ in their arrays only."""
+"""One linear-blend-skinned head model; FLAME, the procedural head and tracked heads differ in their arrays only."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_rotatio
 
 @dataclass(frozen=True)
 class HeadModel:
-    """A head with its identity folded in: what `head.npz` holds (docs/capture-format.md).
+    """A head model with its identity folded into the template: the content of `head.npz` (docs/capture-format.md).
 
     Attributes:
         template: Neutral vertices, m; +Y up, face towards +Z, +X the subject's left.
         faces: Vertex indices, counter-clockwise from outside.
         expression_basis: Displacement per unit of each expression coefficient, m.
-        pose_basis: Displacement per entry of vec(R_j − I), joints 1… in order, row-major, m; P is 0 or 9·(J − 1).
-        eyelid_basis: Displacement of a closed left and right lid, m, added after skinning (metrical-tracker).
+        pose_basis: Displacement per entry of vec(R_j − I), row-major, joints from 1 on in order, m; P is 0 or
+            9·(J − 1).
+        eyelid_basis: Displacement of the closed left and right eyelid, m, added after skinning (metrical-tracker).
         joint_regressor: Joint positions from shaped vertices.
         skinning_weights: Rows sum to 1.
         parents: Parent of every joint; −1 for the root, and a parent precedes its children.
-        joint_names: FLAME: root, neck, jaw, left_eye, right_eye. Further joints MAY follow.
+        joint_names: For FLAME root, neck, jaw, left_eye, right_eye; further joints may follow.
         version: Tag of the parameter space ("flame2020", "flame2023", "procedural-1", …); coefficients of different
-            tags never mix.
+            tags are not interchangeable.
         regions: Named vertex sets, e.g. face, lips, mouth, eyes, scalp, ears, neck, shoulders; they may overlap.
-        uv: Texture coordinates of every corner of every face in [0, 1]; v upward.
-        landmark_weights: Barycentric weights of landmarks on triangles, whose corners the region `landmarks` names.
+        uv: Texture coordinates of every corner of every face in [0, 1], v upward.
+        landmark_weights: Barycentric weights of landmarks; the region `landmarks` lists the corners of their triangles.
     """
 
     template: Float[Tensor, "V 3"]
@@ -64,13 +65,13 @@ class HeadModel:
         return dataclasses.replace(self, **changes)
 
     def joint(self, name: str) -> int:
-        """Index of a joint by name; `ValueError` if the head has none of that name."""
+        """Index of a joint by name; `ValueError` if the head has no such joint."""
         if name not in self.joint_names:
             raise ValueError(f"expected a joint of {self.joint_names}, got {name!r}")
         return self.joint_names.index(name)
 
     def neutral_drive(self) -> Drive:
-        """No expression, no rotation, lids as in the template, no translation, head at the camera's origin."""
+        """The drive of the neutral head: all parameters zero, head pose the identity."""
         like = self.template
         return Drive(
             expression=like.new_zeros(self.expression_basis.shape[2]),
@@ -81,15 +82,15 @@ class HeadModel:
         )
 
     def neutral(self) -> Float[Tensor, "V 3"]:
-        """Vertices without any facial parameters (docs/paper.md, A13), m."""
+        """Vertices with all facial parameters zero (docs/paper.md, A13), m."""
         return self.template
 
     def vertices(self, drive: Drive) -> Float[Tensor, "V 3"]:
         """Vertices of the posed head, m; differentiable in every field of `drive` and in every array of the head.
 
-        Order (FLAME; Li et al. 2017, Eq. 1–4): shape with expression → joints → pose correctives → skinning → lids →
-        translation. Lids are turned with the neck, so that they stay rigid with the head; with an unturned neck this
-        is metrical-tracker's addition after skinning.
+        The order is FLAME's (Li et al. 2017, Eq. 1–4): expression → joints → pose correctives → skinning → eyelids →
+        translation. Eyelid displacements rotate with the neck, so that they stay rigid with the head; with an unrotated
+        neck this equals metrical-tracker's addition after skinning.
         """
         shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
         joints = self.joint_regressor @ shaped
@@ -107,12 +108,12 @@ class HeadModel:
         return posed + lids @ carrier.T + drive.translation
 
     def joint_transforms(self, drive: Drive) -> tuple[Float[Tensor, "J 3 3"], Float[Tensor, "J 3"]]:
-        """Rotation and offset (m) of every joint: x ↦ R x + o moves what is bound to it alone."""
+        """Rotation and offset (m) of every joint: x ↦ R x + o transforms a vertex that is bound to this joint alone."""
         shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
         return self._joint_transforms(axis_angle_to_matrix(drive.joint_rotations), self.joint_regressor @ shaped)
 
     def _joint_transforms(self, rotations: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
-        """World rotation [J, 3, 3] and offset [J, 3] of every joint: x ↦ R x + o moves a vertex bound to it."""
+        """World rotation [J, 3, 3] and offset [J, 3] of every joint."""
         linear: list[Tensor] = []
         position: list[Tensor] = []
         for index, parent in enumerate(self.parents):
@@ -126,10 +127,10 @@ class HeadModel:
         return stacked, torch.stack(position) - (stacked @ joints[:, :, None]).squeeze(-1)
 
     def condition(self, drive: Drive) -> Float[Tensor, " C"]:
-        """ψ and θ as one vector: expression, every joint beyond root and neck as 6D rotation, lids.
+        """ψ and θ as one vector: expression, every joint but root and neck as 6D rotation, eyelids.
 
-        FLAME with 100 expressions gives the 120 numbers of metrical-tracker and FlashAvatar (docs/paper.md, A12);
-        rigid pose is not in it.
+        FLAME with 100 expressions gives the 120 numbers of metrical-tracker and FlashAvatar (docs/paper.md, A12). The
+        rigid pose is not included.
         """
         skipped = {"root", "neck"}
         moving = [index for index, name in enumerate(self.joint_names) if name not in skipped]

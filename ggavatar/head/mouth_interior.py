@@ -1,4 +1,4 @@
-"""Where teeth and tongue can be, for heads whose mesh has none: a cylinder behind the lips (Gaussian Blendshapes)."""
+"""The volume of teeth and tongue for meshes without them: a cylinder behind the lips (Gaussian Blendshapes)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from torch import Tensor
 
 from ggavatar.head.model import HeadModel
 
-LIPS = ("lips", "mouth")
-"""Regions that say where the mouth is, best first."""
-TEETH = ("teeth", "upper_teeth")
-"""Regions that say that the mesh has teeth of its own."""
+LIP_REGIONS = ("lips", "mouth")
+"""Regions that locate the mouth, preferred first."""
+TEETH_REGIONS = ("teeth", "upper_teeth")
+"""Regions that only meshes with teeth have."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class MouthCylinder:
     """An upright cylinder in head space.
 
     Attributes:
-        center: Of the cylinder, m.
-        radius: m.
-        half_height: m.
+        center: Center, m.
+        radius: Radius, m.
+        half_height: Half of the height, m.
     """
 
     center: Float[Tensor, "3"]
@@ -33,13 +33,13 @@ class MouthCylinder:
 
     @staticmethod
     def of(head: HeadModel) -> MouthCylinder | None:
-        """Half as wide as the neutral lips, 0.8 of that high to either side, its front at the lips.
+        """The cylinder of a head: its diameter is the width of the neutral lips, its front touches them.
 
-        On FLAME this is about the cylinder of the authors' code (radius 27 mm, half height 22 mm). None if the head
-        does not say where its lips are, or has teeth.
+        The half height is 0.8 of the radius. On FLAME this is close to the cylinder in the authors' code (radius 27 mm,
+        half height 22 mm). None if the head has no region of the lips, or has teeth.
         """
-        region = next((head.regions[name] for name in LIPS if name in head.regions), None)
-        if region is None or any(name in head.regions for name in TEETH):
+        region = next((head.regions[name] for name in LIP_REGIONS if name in head.regions), None)
+        if region is None or any(name in head.regions for name in TEETH_REGIONS):
             return None
         lips = head.neutral()[region]
         radius = float(lips[:, 0].max() - lips[:, 0].min()) / 2
@@ -48,7 +48,7 @@ class MouthCylinder:
         return MouthCylinder(center, radius, 0.8 * radius)
 
     def points(self, count: int, generator: torch.Generator) -> Float[Tensor, "N 3"]:
-        """Points evenly in the cylinder, head space, m."""
+        """Random points, uniform in the cylinder, in head space, m."""
         draws = torch.rand(count, 3, generator=generator).to(self.center)
         radius, angle = self.radius * draws[:, 0].sqrt(), 2 * math.pi * draws[:, 1]
         height = self.half_height * (2 * draws[:, 2] - 1)

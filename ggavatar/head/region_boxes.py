@@ -1,4 +1,4 @@
-"""Where mouth and eyes are in an image: what crops and weighted losses look at."""
+"""Image boxes of mouth and eyes, for crops and weighted losses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ggavatar.head.model import HeadModel
 
 @torch.no_grad()
 def region_boxes(head: HeadModel, frame: Frame) -> list[tuple[float, float, float, float]]:
-    """Bounding boxes of mouth and eyes in the image, px, where the head names these regions."""
+    """Bounding boxes (left, top, right, bottom) of the head's mouth and eye regions in the image, px."""
     names = [name for name in ("mouth", "lips", "eyes", "left_eye", "right_eye") if name in head.regions]
     if not names:
         return []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
@@ -29,7 +29,7 @@ def ordered_map(
     items: Iterable[Item],
     threads: int | None = None,
     ahead: int = MAX_QUEUED_RESULTS,
-) -> Iterator[Result]:
+) -> Generator[Result]:
     """Yield the results of a thread-safe function in the order of the items.
 
     Items are taken in the caller's thread, a few ahead of the result that is requested. An exception is raised in place

@@ -1,1 +1,1 @@
-"""What training minimises: image terms, regularisers, perceptual loss; each kernel beside its torch twin."""
+"""Losses: image terms, regularizers and the perceptual loss; compiled kernels are beside their torch twins."""

@@ -1,4 +1,4 @@
-"""Where the crops of the perceptual loss lie."""
+"""Random crops for the perceptual loss."""
 
 from __future__ import annotations
 
@@ -7,32 +7,35 @@ from dataclasses import dataclass
 
 import torch
 
+Box = tuple[float, float, float, float]
+"""Left, top, right and bottom of an image region, px."""
+
 
 @dataclass(frozen=True)
 class CropSampler:
-    """Where the cheap mode looks: a square window in some steps, often centred on given boxes."""
+    """A square window in a random subset of the steps, often centered on given boxes."""
 
     side: int = 128
     """Edge of the window, px; clipped to the image."""
     probability: float = 0.2
-    """Chance that a step is looked at."""
+    """Probability that a step has a window."""
     focused: float = 0.5
-    """Chance that a window is centred on one of the boxes (mouth, eyes), if there are any."""
+    """Probability that a window is centered on one of the boxes (mouth, eyes), if there are any."""
 
     def draw(
         self,
         height: int,
         width: int,
         generator: torch.Generator,
-        boxes: Sequence[tuple[float, float, float, float]] = (),
+        boxes: Sequence[Box] = (),
     ) -> tuple[slice, slice] | None:
-        """Rows and columns of a window, or None if this step is not looked at.
+        """Rows and columns of a window, or None if this step has none.
 
         Args:
-            height: Of the image, px.
-            width: Of the image, px.
-            generator: On the CPU; five numbers are drawn whatever comes out.
-            boxes: Left, top, right and bottom of regions that matter, px; one is chosen evenly.
+            height: Height of the image, px.
+            width: Width of the image, px.
+            generator: A generator on the CPU; every call draws five numbers.
+            boxes: Regions to center windows on; each is equally likely.
         """
         look, focus, which, across, down = torch.rand(5, generator=generator).tolist()
         if look >= self.probability:

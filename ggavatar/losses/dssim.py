@@ -1,4 +1,4 @@
-"""The image loss (GGAvatar Eq. 13): L1 and structural dissimilarity, 1 − SSIM as in 3D Gaussian Splatting."""
+"""The image loss (GGAvatar Eq. 13): L1 and D-SSIM, with SSIM as in 3D Gaussian Splatting."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ LUMINANCE, CONTRAST = 0.01**2, 0.03**2
 
 @dataclass(frozen=True)
 class DssimTarget:
-    """A ground-truth image with the blurs that every comparison needs, so that each frame pays for them once.
+    """A ground-truth image with the local means that every comparison needs; computed once per frame.
 
     Attributes:
-        image: The image, [0, 1].
+        image: The image, in [0, 1].
         mean: Its Gaussian-weighted local mean.
         square_mean: The Gaussian-weighted local mean of its square.
     """
@@ -33,7 +33,7 @@ class DssimTarget:
 
     @staticmethod
     def of(image: Float[Tensor, "H W C"]) -> DssimTarget:
-        """Blur `image` and its square."""
+        """The target of an image in [0, 1]."""
         image = image.detach().contiguous()
         if image.shape[-1] == 3 and compiled_for(image):
             return _compiled_target(image)
@@ -42,7 +42,7 @@ class DssimTarget:
 
 
 class ImageTerms(NamedTuple):
-    """The two weighed terms of the image loss."""
+    """The two weighted terms of the image loss."""
 
     l1: Float[Tensor, ""]
     dssim: Float[Tensor, ""]
@@ -51,11 +51,11 @@ class ImageTerms(NamedTuple):
 def image_terms(
     image: Float[Tensor, "H W C"], target: DssimTarget | Float[Tensor, "H W C"], dssim_share: float
 ) -> ImageTerms:
-    """(1 − λ1) · mean |image − target| and λ1 · `dssim(image, target)`, found in one sweep.
+    """(1 − λ1) · mean |image − target| and λ1 · `dssim(image, target)`, computed in one pass.
 
     Args:
-        image: The drawn image; the gradient flows here only.
-        target: The ground truth, best as a `DssimTarget` if it is compared with more than once.
+        image: The rendered image; gradients flow into it only.
+        target: The ground truth; a `DssimTarget` saves time if it is compared with more than once.
         dssim_share: λ1, in [0, 1].
 
     References:
@@ -67,12 +67,12 @@ def image_terms(
 def dssim(image: Float[Tensor, "H W C"], target: DssimTarget | Float[Tensor, "H W C"]) -> Float[Tensor, ""]:
     """1 − mean SSIM over pixels and channels, in [0, 2].
 
-    An 11×11 Gaussian window with σ = 1.5 px, zero padding, C1 = 0.01², C2 = 0.03² for a range of 1; not halved
-    (docs/paper.md, A17).
+    The window is an 11×11 Gaussian with σ = 1.5 px and zero padding, C1 = 0.01² and C2 = 0.03² for a range of 1. The
+    value is not halved (docs/paper.md, A17).
 
     Args:
-        image: The drawn image; the gradient flows here only.
-        target: The ground truth, best as a `DssimTarget` if it is compared with more than once.
+        image: The rendered image; gradients flow into it only.
+        target: The ground truth; a `DssimTarget` saves time if it is compared with more than once.
 
     References:
         Wang et al. 2004; Kerbl et al. 2023 (zero padding, no sample covariance).
@@ -90,7 +90,7 @@ def _image_terms(image: Tensor, target: DssimTarget | Tensor, weights: tuple[flo
 def image_terms_in_torch(
     image: Float[Tensor, "H W C"], target: DssimTarget, weights: tuple[float, float]
 ) -> ImageTerms:
-    """Both terms, weighed, in plain torch: any dtype and device."""
+    """Both weighted terms in plain torch: any dtype and device."""
     return ImageTerms(weights[0] * l1_loss(image, target.image), weights[1] * dssim_in_torch(image, target))
 
 
@@ -107,7 +107,7 @@ def dssim_in_torch(image: Float[Tensor, "H W C"], target: DssimTarget) -> Float[
 
 
 def _blur(maps: Float[Tensor, "H W K"]) -> Float[Tensor, "H W K"]:
-    """Gaussian-weighted local means with zeros beyond the border."""
+    """Gaussian-weighted local means with zero padding."""
     offsets = torch.arange(WINDOW, dtype=maps.dtype, device=maps.device) - WINDOW // 2
     line = torch.softmax(-offsets.square() / (2 * SIGMA**2), dim=0)
     count = maps.shape[-1]
@@ -116,7 +116,7 @@ def _blur(maps: Float[Tensor, "H W K"]) -> Float[Tensor, "H W K"]:
 
 
 class _CompiledTerms(torch.autograd.Function):
-    """The compiled kernel; the gradient of the sum is found in the forward sweep, since only a factor is missing."""
+    """The compiled kernel; forward also computes the gradient of the sum, which backward only scales."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: DssimTarget, weights: tuple[float, float]) -> tuple[Tensor, Tensor]:
@@ -136,7 +136,7 @@ class _CompiledTerms(torch.autograd.Function):
     def backward(ctx: Any, to_l1: Tensor, to_dssim: Tensor) -> tuple[Tensor, None, None]:
         image, gradient = ctx.saved_tensors
         factor, more = to_dssim.item(), to_l1.item() - to_dssim.item()
-        if more and ctx.weights[0]:  # the two terms do not count alike
+        if more and ctx.weights[0]:  # the two terms have different upstream gradients
             signs = (image - ctx.target.image).sign() * (ctx.weights[0] / image.numel())
             return factor * gradient + more * signs, None, None
         return gradient if factor == 1 else factor * gradient, None, None

@@ -1,10 +1,11 @@
-"""Absolute differences, structural similarity and their gradient in one sweep over stripes of an image.
+"""Absolute differences, SSIM and their gradient in one pass over stripes of an image (compiled).
 
-The twin is `dssim.image_terms_in_torch`.
+The torch twin is `dssim.image_terms_in_torch`.
 
-An image is a matrix of H rows and W·3 floats; a neighbour across is 3 floats away. A stripe's rows run through two
-rings of 11 lines: blurred inputs, which give a line of similarities and their derivatives, and blurred derivatives,
-which give a line of the gradient. All of it stays in the second-level cache; only the gradient is written.
+An image is a matrix of H rows and W·3 floats; horizontal neighbors are 3 floats apart. The rows of a stripe pass
+through two ring buffers of 11 lines: blurred inputs, from which a line of similarities and their derivatives follows,
+and blurred derivatives, from which a line of the gradient follows. The buffers stay in the second-level cache; only the
+gradient is written to memory.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ CHANNELS = 3
 MARGIN = np.uint64(REACH * CHANNELS)
 S1, S2, S3, S4, S5, S6, S7, S8, S9, S10 = (np.uint64(CHANNELS * k) for k in range(1, WINDOW))
 STRIPE = 128
-"""Rows of a stripe; 20 more are swept, so smaller stripes cost more work and larger ones occupy fewer threads."""
+"""Rows of a stripe; 20 more are read, so smaller stripes cost more work and larger ones occupy fewer threads."""
 
 
 def window() -> Float32[ndarray, " K"]:
-    """The normalised one-dimensional Gaussian window."""
+    """The normalized one-dimensional Gaussian window."""
     weights = np.array([exp(-((index - REACH) ** 2) / (2 * SIGMA**2)) for index in range(WINDOW)])
     return (weights / weights.sum()).astype(np.float32)
 
@@ -50,7 +51,7 @@ def _blur_across(padded, out, weights):
 
 @inlined
 def _blur_down(ring, out, weights, first):
-    """Weighted sum of the ring's lines, the window beginning at line `first`; in halves, or it would not vectorise."""
+    """Weighted sum of the ring's lines, the window starting at line `first`; in two halves, which vectorize."""
     w = np.empty(WINDOW, np.float32)
     for k in range(WINDOW):
         w[(first + k) % WINDOW] = weights[k]
@@ -83,7 +84,7 @@ def _products(x, y, padded):
 
 @inlined
 def _similarity(blurred, mean_y, square_y, factor, sums, derivatives):
-    """Add `factor` times a line of SSIM to `sums`; derivatives by the local means of x, x², x·y go to padded lines."""
+    """Add `factor` times a line of SSIM to `sums`; write its derivatives by the local means of x, x² and x·y."""
     one, two = np.float32(1), np.float32(2)
     for i in range(np.uint64(sums.size)):
         mx, my = blurred[0, i], mean_y[i]
@@ -108,7 +109,7 @@ def _differences(x, y, sums):
 
 @inlined
 def _gradient(down, x, y, factors, out):
-    """One line of the gradient: the sign of the difference, and what the blurred derivatives give."""
+    """One line of the gradient, from the sign of the difference and the blurred derivatives."""
     two, zero, absolute, similar = np.float32(2), np.float32(0), factors[0], factors[1]
     for i in range(np.uint64(x.size)):
         difference = x[i] - y[i]
@@ -118,9 +119,9 @@ def _gradient(down, x, y, factors, out):
 
 @kernel
 def compare_stripe(x, y, mean_y, square_y, weights, rows, factors, gradient):
-    """Sums of |x − y| and of SSIM over the rows from the first of `rows` to before the second.
+    """Sums of |x − y| and of SSIM over the half-open range `rows`.
 
-    If `gradient` has rows, these receive the gradient of the two sums weighed by `factors`.
+    If `gradient` has rows, they receive the gradient of the two sums weighted by `factors`.
     """
     (height, width), (first, last) = x.shape, rows
     wanted = gradient.shape[0] > 0
@@ -157,7 +158,7 @@ def compare_stripe(x, y, mean_y, square_y, weights, rows, factors, gradient):
 
 @kernel
 def prepare_stripe(y, weights, first, last, mean, square):
-    """Local means of `y` and of its square for rows `first` … `last` − 1."""
+    """Write the local means of `y` and of its square for rows `first` … `last` − 1."""
     width = y.shape[1]
     padded = np.zeros((3, width + 2 * REACH * CHANNELS), np.float32)
     inputs = np.zeros((2, WINDOW, width), np.float32)
@@ -172,7 +173,7 @@ def prepare_stripe(y, weights, first, last, mean, square):
 
 @inlined
 def _take_row(x, y, row, padded, inputs, weights):
-    """Blur a row of x, x² and x·y across into the ring; zeros beyond the image."""
+    """Blur a row of x, x² and x·y horizontally into the ring; zeros outside the image."""
     slot = (row + 2 * WINDOW) % WINDOW
     if row < 0 or row >= x.shape[0]:
         inputs[:, slot] = np.float32(0)
@@ -189,7 +190,7 @@ Lines = Float32[ndarray, "_ _"]
 def compare(
     x: Lines, y: Lines, mean_y: Lines, square_y: Lines, factors: tuple[float, float], gradient: Lines
 ) -> tuple[float, float]:
-    """Sums of |x − y| and of SSIM; `gradient`, unless it has no rows, receives that of both, weighed by `factors`."""
+    """Sums of |x − y| and of SSIM; `gradient`, unless it has no rows, receives theirs, weighted by `factors`."""
     weights, both = window(), np.array(factors, np.float32)
     stripes = _stripes(x)
     sums = [(0.0, 0.0)] * len(stripes)
@@ -202,13 +203,13 @@ def compare(
 
 
 def prepare(y: Lines, mean: Lines, square: Lines) -> None:
-    """Fill in the local means of `y` and of its square."""
+    """Write the local means of `y` and of its square."""
     weights = window()
     stripes = _stripes(y)
     run(lambda index: prepare_stripe(y, weights, *stripes[index], mean, square), len(stripes))
 
 
 def _stripes(image: Lines) -> list[tuple[int, int]]:
-    """First row and row after the last of every stripe; they depend on the image only, not on the number of threads."""
+    """Half-open row ranges of the stripes, independent of the number of threads."""
     height = len(image)
     return [(first, min(first + STRIPE, height)) for first in range(0, height, STRIPE)]

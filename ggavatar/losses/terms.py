@@ -1,4 +1,4 @@
-"""The terms of the training objective as pure functions (GGAvatar Eq. 13–16); weights belong to the methods."""
+"""Terms of the training objective as pure functions: L1, Huber and the regularizers (GGAvatar Eq. 14–15)."""
 
 from __future__ import annotations
 
@@ -12,18 +12,6 @@ from torch.nn.functional import huber_loss, l1_loss
 
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
-from ggavatar.losses.dssim import DssimTarget, dssim, image_terms
-
-__all__ = [
-    "DssimTarget",
-    "dssim",
-    "huber",
-    "image_terms",
-    "l1",
-    "log_scale_regulariser",
-    "position_regulariser",
-    "scale_regulariser",
-]
 
 
 def l1(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"]) -> Float[Tensor, ""]:
@@ -38,84 +26,69 @@ def huber(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"], delta: 
     return huber_loss(image, target, delta=delta)
 
 
-def position_regulariser(
+def position_regularizer(
     local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0
 ) -> Float[Tensor, ""]:
     """Mean over visible Gaussians of max(‖μ0‖ − `threshold`, 0); 0 if none is visible.
 
     Args:
         local_means: Positions in units of the triangle's size.
-        visible: Gaussians that touched the image.
-        threshold: Distance from the triangle's centre that costs nothing, in units of its size.
+        visible: Gaussians that touch the image.
+        threshold: Distance from the triangle's center up to which the cost is 0, in units of its size.
 
     References:
-        GGAvatar Eq. 14 read as in GaussianAvatars (docs/paper.md, A15, A16): on the norm, of local positions.
+        GGAvatar Eq. 14, read as in GaussianAvatars (docs/paper.md, A15, A16): the norm of local positions.
     """
     if compiled_for(local_means):
-        return cast(Tensor, _CompiledRegulariser.apply(local_means, visible, threshold, "POSITION"))
-    return position_in_torch(local_means, visible, threshold)
+        return cast(Tensor, _CompiledRegularizer.apply(local_means, visible, threshold, "POSITION"))
+    return position_regularizer_in_torch(local_means, visible, threshold)
 
 
-def position_in_torch(
+def position_regularizer_in_torch(
     local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0
 ) -> Float[Tensor, ""]:
-    """`position_regulariser` in plain torch: any dtype and device."""
+    """`position_regularizer` in plain torch: any dtype and device."""
     square = local_means.square().sum(-1)
-    beyond = square > threshold**2
-    length = square.where(beyond, square.new_tensor(1.0)).sqrt()
-    return _mean_where((length - threshold) * beyond, visible)
+    exceeds = square > threshold**2
+    length = square.where(exceeds, square.new_tensor(1.0)).sqrt()
+    return _mean_where((length - threshold) * exceeds, visible)
 
 
-def scale_regulariser(
-    local_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
+def log_scale_regularizer(
+    local_log_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
 ) -> Float[Tensor, ""]:
-    """Mean over visible Gaussians of ‖max(s0 − `threshold`, 0)‖; 0 if none is visible.
+    """Mean over visible Gaussians of ‖max(s0 − `threshold`, 0)‖ with s0 the exponentials; 0 if none is visible.
 
     Args:
-        local_scales: Standard deviations (not their logarithms) in units of the triangle's size.
-        visible: Gaussians that touched the image.
-        threshold: Standard deviation that costs nothing, in units of the triangle's size.
+        local_log_scales: Logarithms of standard deviations in units of the triangle's size.
+        visible: Gaussians that touch the image.
+        threshold: Standard deviation up to which the cost is 0, in units of the triangle's size.
 
     References:
         GGAvatar Eq. 15; on local scales (docs/paper.md, A16).
     """
-    if compiled_for(local_scales):
-        return cast(Tensor, _CompiledRegulariser.apply(local_scales, visible, threshold, "SCALE"))
-    return scale_in_torch(local_scales, visible, threshold)
+    if compiled_for(local_log_scales):
+        return cast(Tensor, _CompiledRegularizer.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
+    return log_scale_regularizer_in_torch(local_log_scales, visible, threshold)
 
 
-def log_scale_regulariser(
+def log_scale_regularizer_in_torch(
     local_log_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
 ) -> Float[Tensor, ""]:
-    """`scale_regulariser` of the exponentials, in one sweep.
-
-    Args:
-        local_log_scales: Logarithms of standard deviations in units of the triangle's size.
-        visible: Gaussians that touched the image.
-        threshold: Standard deviation that costs nothing, in units of the triangle's size.
-    """
-    if compiled_for(local_log_scales):
-        return cast(Tensor, _CompiledRegulariser.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
-    return scale_in_torch(local_log_scales.exp(), visible, threshold)
-
-
-def scale_in_torch(
-    local_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
-) -> Float[Tensor, ""]:
-    """`scale_regulariser` in plain torch: any dtype and device."""
-    square = (local_scales - threshold).clamp_min(0).square().sum(-1)
-    beyond = square > 0
-    length = square.where(beyond, square.new_tensor(1.0)).sqrt()
-    return _mean_where(length * beyond, visible)
+    """`log_scale_regularizer` in plain torch: any dtype and device."""
+    square = (local_log_scales.exp() - threshold).clamp_min(0).square().sum(-1)
+    exceeds = square > 0
+    length = square.where(exceeds, square.new_tensor(1.0)).sqrt()
+    return _mean_where(length * exceeds, visible)
 
 
 def _mean_where(values: Tensor, visible: Tensor) -> Tensor:
-    """Mean of `values` over the visible rows, 0 (still attached to the graph) if there is none."""
+    """Mean of `values` over the visible rows; 0, attached to the graph, if there is none."""
     return (values * visible).sum() / visible.sum().clamp_min(1)
 
 
 class _CompiledL1(torch.autograd.Function):
-    """The compiled L1; the signs are found on the way forth, since only a factor is missing."""
+    """The compiled L1; forward computes the signs, and backward scales them."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor) -> Tensor:
@@ -133,15 +106,15 @@ class _CompiledL1(torch.autograd.Function):
         return (signs * (upstream / max(signs.numel(), 1))).view(ctx.shape), None
 
 
-class _CompiledRegulariser(torch.autograd.Function):
-    """The compiled regularisers; `kind` is the name of a constant of `ggavatar.losses.terms_kernel`."""
+class _CompiledRegularizer(torch.autograd.Function):
+    """The compiled regularizers; `kind` is the name of a constant in `ggavatar.losses.terms_kernel`."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor, visible: Tensor, threshold: float, kind: str) -> Tensor:
         from ggavatar.losses import terms_kernel as kernels
 
         ctx.inputs = getattr(kernels, kind), _flat(rows), _flat(visible), np.float32(threshold)
-        total, seen = kernels.regulariser_sum(*ctx.inputs)
+        total, seen = kernels.regularizer_sum(*ctx.inputs)
         ctx.count = max(seen, 1)
         return rows.new_tensor(total / ctx.count)
 
@@ -150,7 +123,7 @@ class _CompiledRegulariser(torch.autograd.Function):
         from ggavatar.losses import terms_kernel as kernels
 
         gradient = padded(ctx.inputs[2].size, 3)
-        kernels.regulariser_gradient(*ctx.inputs, np.float32(upstream.item() / ctx.count), memory_of(gradient))
+        kernels.regularizer_gradient(*ctx.inputs, np.float32(upstream.item() / ctx.count), memory_of(gradient))
         return gradient, None, None, None
 
 

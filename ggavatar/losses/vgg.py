@@ -1,4 +1,7 @@
-"""Perceptual loss on VGG16 features (Johnson et al. 2016), on whole images or on crops."""
+"""Perceptual loss on VGG16 features (Johnson et al. 2016).
+
+The network is written out here: torchvision, which has VGG16, does not import beside the CPU build of torch 2.13.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.pretrained.vgg import VGG16, VGG16_TO_RELU2_2, load_weights, locate
 
 BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21))
-"""Convolutions of VGG16's first four blocks, as torchvision numbers them; the end of each block is compared."""
+"""Convolutions of VGG16's first four blocks, as torchvision numbers them; the loss compares the end of each block."""
 WIDTHS = (64, 128, 256, 512)
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
@@ -23,11 +26,11 @@ Features = tuple[Tensor, ...]
 class PerceptualLoss(nn.Module):
     """Mean absolute difference of rectified VGG16 features, summed over the blocks (docs/paper.md, A18).
 
-    The weights are buffers that no checkpoint holds.
+    The weights are not part of any checkpoint.
 
     Attributes:
-        name: Which features: "vgg16-relu4_3" in full, "vgg16-relu2_2" with the first two blocks only, "random-vgg" for
-            untrained ones. Say it wherever a figure depends on it, and never call such a figure LPIPS.
+        name: The features: "vgg16-relu4_3" for all four blocks, "vgg16-relu2_2" for the first two, "random-vgg" for
+            untrained weights. Report it with every number that depends on it; such a number is not LPIPS.
 
     References:
         Johnson et al. 2016; GGAvatar Eq. 16 (λ2); Liu et al. 2021 (arXiv 2103.10571) for untrained weights.
@@ -43,16 +46,16 @@ class PerceptualLoss(nn.Module):
             self.register_buffer(f"bias_{index}", state[f"features.{index}.bias"].float(), persistent=False)
 
     def forward(self, image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"] | Features) -> Float[Tensor, ""]:
-        """The loss of an image in [0, 1], at least 8 px a side, against a target or the `features` kept of it."""
+        """The loss of an image in [0, 1], at least 8 px a side, against a target or its `features`."""
         with torch.no_grad():
             wanted = self.features(target) if isinstance(target, Tensor) else target
         pairs = zip(self.features(image), wanted, strict=True)
         return torch.stack([(ours - theirs).abs().mean() for ours, theirs in pairs]).sum()
 
     def features(self, image: Float[Tensor, "H W 3"]) -> Features:
-        """Rectified features at the end of every block."""
+        """Rectified features at the end of every block, for an image in [0, 1]."""
         mean, deviation = image.new_tensor(IMAGENET_MEAN), image.new_tensor(IMAGENET_DEVIATION)
-        maps = ((image - mean) / deviation).permute(2, 0, 1)[None]  # channels_last, for nothing
+        maps = ((image - mean) / deviation).permute(2, 0, 1)[None]  # channels_last without a copy
         found: list[Tensor] = []
         for number, block in enumerate(self.blocks):
             maps = max_pool2d(maps, 2) if number else maps
@@ -65,15 +68,15 @@ class PerceptualLoss(nn.Module):
 
 
 def perceptual_loss(folder: Path | None = None, required: bool = False, seed: int = 0) -> PerceptualLoss:
-    """The best perceptual loss at hand: all of VGG16, its first two blocks, or an untrained stand-in; see `.name`.
+    """The best available perceptual loss: all of VGG16, its first two blocks, or an untrained stand-in; see `.name`.
 
     Args:
-        folder: Searched for weights before $GGAVATAR_MODELS and the user's cache.
-        required: Refuse the untrained stand-in.
-        seed: Of the stand-in's weights.
+        folder: A folder to search for weights before $GGAVATAR_MODELS and the user's cache.
+        required: Raise an error instead of returning the untrained stand-in.
+        seed: Seed of the stand-in's weights.
 
     Raises:
-        InputError: If trained weights are `required` and none are found, or if a file is damaged.
+        InputError: Trained weights are `required` and none are found, or a file is damaged.
     """
     for model, name, blocks in ((VGG16, "vgg16-relu4_3", 4), (VGG16_TO_RELU2_2, "vgg16-relu2_2", 2)):
         path = locate(model, folder)
@@ -82,7 +85,7 @@ def perceptual_loss(folder: Path | None = None, required: bool = False, seed: in
     if required:
         raise InputError(
             f"expected the weights of VGG16 for the perceptual loss, found none; put {VGG16.file} ({VGG16.source}) "
-            "into a folder and name it by $GGAVATAR_MODELS"
+            "into a folder and set $GGAVATAR_MODELS to it"
         )
     return PerceptualLoss("random-vgg", random_weights(seed))
 

@@ -1,4 +1,4 @@
-"""The perceptual loss as a weighted term of an objective: on the whole image, or on crops in some of the steps."""
+"""The perceptual loss as a weighted term of an objective: on whole images, or on crops in some of the steps."""
 
 from __future__ import annotations
 
@@ -8,22 +8,20 @@ from dataclasses import dataclass, field
 from jaxtyping import Float
 from torch import Tensor
 
-from ggavatar.losses.crop_sampler import CropSampler
+from ggavatar.losses.crop_sampler import Box, CropSampler
 from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss
 from ggavatar.optim.seeding import seeded
-
-Box = tuple[float, float, float, float]
 
 
 @dataclass
 class PerceptualTerm:
-    """λ · L_VGG; the network is loaded when it is first needed and is no part of any state.
+    """λ · L_VGG; the network is loaded on first use and is not part of any `state_dict`.
 
     Attributes:
-        weight: λ, whatever the mode: a crop seen with some chance weighs 1/chance as much.
-        crops: Where the cheap mode looks; None compares whole images.
-        seed: Of the crops.
-        stream: Keeps the draws apart from others of the same seed.
+        weight: λ in expectation; a crop's loss is divided by the probability that the step has one.
+        crops: Sampler of the crops; None compares whole images.
+        seed: Seed of the crops.
+        stream: Stream of the seed, so that the draws are independent of others.
     """
 
     weight: float
@@ -35,13 +33,13 @@ class PerceptualTerm:
     def __call__(
         self, image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], step: int, boxes: Sequence[Box] = ()
     ) -> dict[str, Tensor]:
-        """The term by name, or nothing in a step without a crop.
+        """The term by name; empty in a step without a crop.
 
         Args:
-            image: The rendering, sRGB.
-            target: The frame, sRGB.
-            step: Decides the crop.
-            boxes: Left, top, right and bottom of what crops are often centred on, px.
+            image: The rendered image, sRGB.
+            target: The ground truth, sRGB.
+            step: The current step, which determines the crop.
+            boxes: Regions that crops are often centered on.
         """
         weight, window = self.weight, (slice(None), slice(None))
         if self.crops is not None:
@@ -55,5 +53,5 @@ class PerceptualTerm:
         return {"perceptual": weight * self._network[0](image[window], target[window])}
 
     def notes(self) -> dict[str, str]:
-        """Which features were compared, once they were."""
+        """The features that were compared; empty before the first call."""
         return {"perceptual_loss": self._network[0].name} if self._network else {}

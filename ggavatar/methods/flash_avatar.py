@@ -1,23 +1,22 @@
-"""FlashAvatar (Xiang et al. 2024): Gaussians at the texels of a head mesh, moved by a network of place and expression.
+"""FlashAvatar (Xiang et al. 2024): Gaussians at the texels of a head mesh, moved by a position-conditioned network.
 
-A baseline of the paper's Table 1; https://arxiv.org/abs/2312.02214 and its public code are the source of every number.
+A baseline of the paper's Table 1. All numbers are from https://arxiv.org/abs/2312.02214 and its public code.
 
     1. Every texel of the texture layout that a triangle covers carries a Gaussian (`ggavatar.geometry.uv_sampling`).
-    2. A network of its neutral place and the facial parameters gives Δμ, Δr and Δs; the mesh gives the rest.
-    3. There is no density control: Huber loss, the mouth weighing 40 times more, and late a perceptual term.
+    2. A network of the neutral position and the facial parameters outputs Δμ, Δr and Δs; the mesh determines the rest.
+    3. There is no density control. The Huber loss has 40 times the weight in the mouth; a perceptual term joins later.
 
-What this project cannot have, and takes instead: FLAME's texture layout – a strip of triangles (`layout`), since heads
-here have no layout or one for pictures, where pieces hide their own backs; the parsed mouth – the convex hull of the
-projected lips; the parsed head – the foreground; LPIPS – the project's perceptual loss, named in provenance.json. The
-authors train before green (`--background 0,1,0`) on head and neck only; for a fair table background and foreground are
-everybody's.
+Substitutions: a strip of triangles (`layout`) for FLAME's texture layout, because heads here have no layout, or one for
+images, in which front and back of parts overlap; the convex hull of the projected lips for the parsed mouth; the
+foreground for the parsed head; the project's perceptual loss, named in provenance.json, for LPIPS. The authors train on
+head and neck in front of green (`--background 0,1,0`); for a fair table, all methods share background and foreground.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -27,8 +26,9 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.data.frames import spaced
+from ggavatar.data.frames import evenly_spaced
 from ggavatar.data.scene import Scene
+from ggavatar.gaussians.binding import WorldGeometry
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.convex_hull import hull_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
@@ -42,6 +42,7 @@ from ggavatar.geometry.uv_sampling import (
 )
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
+from ggavatar.head.mouth_interior import LIP_REGIONS
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
@@ -52,32 +53,32 @@ from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded
 
-ITERATIONS = 150_000
-"""Length of the authors' training, to which all constants below refer."""
+PAPER_ITERATIONS = 150_000
+"""Length of the authors' training, to which all constants below refer, iterations."""
 FLAME_COVERAGE = 14_734 / 128**2
-"""Share of the texels that FLAME's triangles cover."""
-VIEWS = 24
-"""Training frames that decide which triangles are ever seen."""
+"""Fraction of the texels that FLAME's triangles cover."""
+VISIBILITY_FRAMES = 24
+"""Number of training frames from which triangle visibility is determined."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Every number of the method. Iterations are those of the authors' 150,000 and scale with the training."""
+    """All settings of the method. Iterations refer to the authors' 150,000 and scale with the training."""
 
     texels: int = 128
     """Texels along an edge of the texture (code; 256 in GGAvatar's comparison), if --max-gaussians allows."""
     layout: Literal["strip", "head"] = "strip"
-    """Texture layout: one that is made for the head, or the head file's own if it has one."""
+    """Texture layout: a strip computed for the head, or the head file's own if it has one."""
     room_power: float = 0.5
-    """Power of a triangle's area that is its room in the strip: 1 is even in area, 0 the mesh's own density (ours)."""
+    """Exponent of a triangle's area for its part of the strip: 1 is even by area, 0 by triangle (ours)."""
     unseen_room: float = 0.1
-    """Room of a triangle in the strip if no training frame can show it, against one of equal area (ours)."""
+    """Factor on the part of the strip of triangles that no training frame can show (ours)."""
     boundary: Literal["keep", "drop"] = "keep"
     """Texels at the lower rim of the mesh: kept (GGAvatar's comparison) or dropped (FlashAvatar)."""
     pose_on: Literal["camera", "neck"] = "camera"
-    """Where the head pose acts: on the camera (the authors), or on the neck too, so that the torso is still."""
+    """What the head pose moves: the camera (the authors), or the neck too, so that the torso stays still."""
     condition: Literal["face", "face_and_pose"] = "face"
-    """What the network sees: facial parameters (the authors), or the head pose within its training range too."""
+    """Condition vector: facial parameters (the authors), or also the head pose, clamped to its training range."""
 
     octaves: int = 8
     """Octaves of the positional encoding, sin and cos of 2ᵏx, x in m (code)."""
@@ -86,11 +87,11 @@ class Config:
     depth: int = 6
     """Number of hidden layers (code)."""
     hidden_type: Literal["float32", "fastest"] = "float32"
-    """Hidden layers of float32 (code), or of bfloat16 on a CPU with instructions for it (ours; twice as fast)."""
+    """Hidden layers in float32 (code), or in bfloat16 on CPUs that support it (ours; twice as fast)."""
     first_offsets: Literal["random", "none"] = "random"
-    """Offsets to begin with: those of a random network (code), or none."""
+    """Initial offsets: those of a random network (code), or none."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (code), or read off a few training frames."""
+    """Initial colors: `grey` (code), or from a few training `frames`."""
 
     network_rate: float = 1e-4
     """Learning rate of the network (code)."""
@@ -101,31 +102,31 @@ class Config:
     opacity_rate: float = 0.05
     """Learning rate of opacity logits (code)."""
     color_rate: float = 2.5e-3
-    """Learning rate of the constant spherical harmonic; the others learn at a 20th (code)."""
+    """Learning rate of the constant spherical harmonic; the rate of the others is 1/20 of it (code)."""
     sh_degree: int = 3
     """Highest degree of the spherical harmonics, 0 to 3 (code)."""
     sh_iterations: int = 500
-    """Iterations between two rises of the degree in use (code)."""
+    """Iterations between increments of the degree in use (code)."""
 
     huber_delta: float = 0.1
     """Difference from which the Huber loss is linear (paper, code)."""
     mouth_weight: float = 40.0
-    """Weight of the Huber loss inside the lips, on top of that of the whole image (paper, code)."""
+    """Weight of the Huber loss inside the lips, in addition to that of the whole image (paper, code)."""
     perceptual_weight: float = 0.005
-    """Weight of the perceptual loss; 0.05 in the code, of LPIPS, which is a tenth of this for pictures much alike."""
+    """Weight of the perceptual loss; the code has 0.05 of LPIPS, which is a tenth of this loss for similar images."""
     perceptual_iterations: int = 15_000
-    """Iterations before the perceptual loss begins (code)."""
+    """Iterations before the perceptual loss starts (code)."""
     perceptual_mode: Literal["image", "crops"] = "image"
-    """Perceptual loss on the whole image in every step (code), or on crops in some at the same expected weight."""
+    """Perceptual loss on the whole image (code), or on crops in some steps with the same expected weight."""
     crop_side: int = 128
     """Side of a crop, px."""
     crop_probability: float = 1.0
-    """Share of the steps with a crop; rare crops, weighing more, would drown the small Huber loss when they come."""
+    """Fraction of the steps with a crop; rare crops have larger weights and would dominate the small Huber loss."""
 
 
 VARIANTS: dict[str, dict[str, Any]] = {"uv_256": {"texels": 256}}
 
-SHORT: dict[str, Any] = {
+SHORT_TRAINING: dict[str, Any] = {
     "pose_on": "neck",
     "condition": "face_and_pose",
     "room_power": 1.0,
@@ -136,9 +137,9 @@ SHORT: dict[str, Any] = {
     "perceptual_mode": "crops",
     "crop_side": 64,
 }
-"""What a training of a few thousand steps on a CPU changes."""
+"""Changes for trainings of a few thousand steps on a CPU."""
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {}}
 
 
 def build(config: Config, scene: Scene) -> FlashAvatar:
@@ -150,7 +151,7 @@ def build(config: Config, scene: Scene) -> FlashAvatar:
 
 
 class FlashAvatar(nn.Module):
-    """The avatar: rows of Gaussians at places on the mesh, the network that moves them, the number of steps done."""
+    """The avatar: rows of Gaussians at fixed places on the mesh, and the network that moves them."""
 
     steps_done: Tensor
 
@@ -162,46 +163,46 @@ class FlashAvatar(nn.Module):
         samples = surface_samples(config, scene, self.poses)
         self.network = make_network(config, scene)
         self.network_optimizer = torch.optim.Adam(self.network.parameters(), config.network_rate, fused=True)
-        self.rows = first_rows(config, samples)
+        self.rows = initial_rows(config, samples)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
         self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
-        self._kept_encoding: Tensor | None = None
-        self.register_load_state_dict_post_hook(lambda *_: self._forget())
+        self._cached_encoding: Tensor | None = None
+        self.register_load_state_dict_post_hook(lambda *_: self._clear_encoding())
         drive = scene.drives[0] if scene.drives else self.head.neutral_drive()
-        self.rows.replace("log_scales", spacing(self.gaussians(drive).means).log()[:, None].expand(-1, 3))
+        self.rows.replace("log_scales", neighbor_distance(self.gaussians(drive).means).log()[:, None].expand(-1, 3))
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space."""
         offsets = self.network(self._encoding(), self._condition(drive)).tanh()
         rows = self.rows
-        placed = moved(self._places(drive), rows["quats"], rows["log_scales"], offsets)
+        placed = apply_offsets(self._surface_points(drive), rows["quats"], rows["log_scales"], offsets)
         return Gaussians(*placed, rows["opacity_logits"].sigmoid(), harmonics(rows), self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """Huber loss of the image and of the mouth, and late the perceptual term."""
+        """Huber loss of the image and of the mouth, and later the perceptual term."""
         config = self.config
-        mask = self._mouth(frame)
+        mask = self._mouth_mask(frame)
         terms = {
             "huber": huber(rendering.image, frame.image, config.huber_delta),
             "mouth": config.mouth_weight * huber(rendering.image * mask, frame.image * mask, config.huber_delta),
         }
-        if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps, ITERATIONS):
+        if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps, PAPER_ITERATIONS):
             boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image * frame.alpha, frame.image * frame.alpha, step, boxes))
         return terms
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """Adam on the rows and Adam on the network."""
+        """Adam for the rows and Adam for the network."""
         return [self.rows.optimizer, self.network_optimizer]
 
     @torch.no_grad()
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """The stage of the next step; rates and rows stay as they are."""
+        """Advance the step count, which determines degree and loss terms; rates and rows do not change."""
         self.steps_done.fill_(step)
 
     def notes(self) -> dict[str, str]:
-        """What a reader of the results must know: where Gaussians are, and which features the perceptual loss used."""
+        """Notes for provenance.json: the texture layout, and the features of the perceptual loss."""
         layout = self.config.layout if self.head.uv is not None else "strip"
         return {"texture_layout": f"{layout}, {len(self.rows)} texels", **self.perceptual.notes()}
 
@@ -209,8 +210,8 @@ class FlashAvatar(nn.Module):
         return SurfaceSamples(self.rows["face"], self.rows["weights"])
 
     @torch.no_grad()
-    def _places(self, drive: Drive) -> Float[Tensor, "N 3"]:
-        """The Gaussians' places on the posed mesh, m."""
+    def _surface_points(self, drive: Drive) -> Float[Tensor, "N 3"]:
+        """Positions of the Gaussians on the posed mesh, m."""
         vertices = self.head.vertices(drive)
         if self.config.pose_on == "neck":
             vertices = self.poses.hold_torso(vertices, drive, self.head)
@@ -218,78 +219,77 @@ class FlashAvatar(nn.Module):
 
     @torch.no_grad()
     def _encoding(self) -> Float[Tensor, "N D"]:
-        """The encoded neutral places; they never change."""
-        if self._kept_encoding is None or self._kept_encoding.device != self.rows["weights"].device:
-            self._kept_encoding = encoded(
+        """The encoded neutral positions, computed once."""
+        if self._cached_encoding is None or self._cached_encoding.device != self.rows["weights"].device:
+            self._cached_encoding = positional_encoding(
                 self._samples().points(self.head.neutral(), self.head.faces), self.config.octaves
             )
-        return self._kept_encoding
+        return self._cached_encoding
 
-    def _forget(self) -> None:
-        self._kept_encoding = None
+    def _clear_encoding(self) -> None:
+        self._cached_encoding = None
 
     def _condition(self, drive: Drive) -> Float[Tensor, " C"]:
-        """Facial parameters, with the head pose if wanted."""
+        """Condition vector: facial parameters, and the head pose if configured."""
         face = self.head.condition(drive)
         return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
 
     def _sh_degree(self) -> int:
-        """Degree in use: one more every `sh_iterations`."""
+        """Degree of the spherical harmonics in use."""
         return degree_in_use(
-            self.steps_done, scaled(self.config.sh_iterations, self.scene.steps, ITERATIONS), self.config.sh_degree
+            self.steps_done,
+            scaled(self.config.sh_iterations, self.scene.steps, PAPER_ITERATIONS),
+            self.config.sh_degree,
         )
 
     @torch.no_grad()
-    def _mouth(self, frame: Frame) -> Float[Tensor, "H W 1"]:
-        """1 inside the outline of the lips (of the region `mouth` where a head does not name its lips)."""
+    def _mouth_mask(self, frame: Frame) -> Float[Tensor, "H W 1"]:
+        """Mask of the convex hull of the lips, or of the region `mouth` for heads without a region `lips`."""
         height, width = frame.image.shape[:2]
-        name = next((name for name in ("lips", "mouth") if name in self.head.regions), None)
+        name = next((name for name in LIP_REGIONS if name in self.head.regions), None)
         if name is None:
             return frame.image.new_zeros(height, width, 1)
         lips = self.head.vertices(frame.drive)[self.head.regions[name]]
         return hull_mask(project(lips, frame.camera.intrinsics, frame.camera.world_to_camera), height, width)
 
 
-class Moved(NamedTuple):
-    """Geometry of Gaussians in the world: m, unit quaternions wxyz, m."""
-
-    means: Float[Tensor, "N 3"]
-    quats: Float[Tensor, "N 4"]
-    scales: Float[Tensor, "N 3"]
-
-
-def moved(
+def apply_offsets(
     places: Float[Tensor, "N 3"],
     quats: Float[Tensor, "N 4"],
     log_scales: Float[Tensor, "N 3"],
     offsets: Float[Tensor, "N 10"],
-) -> Moved:
-    """Gaussians moved by the network's outputs after tanh: metres, a quaternion, factors of the logarithm of scales.
+) -> WorldGeometry:
+    """Apply the network's outputs after tanh to Gaussians on the mesh.
 
-    The real part of the quaternion is exp of its output and therefore positive; the factors are exp of theirs, from
-    1/e to e. They multiply the *logarithm* of the scale (code), so that their effect depends on the unit of length.
+    Args:
+        places: Positions on the posed mesh, m.
+        quats: Rotations, wxyz.
+        log_scales: Logarithms of the standard deviations in m.
+        offsets: Position offset (m), quaternion and log-scale factors. The quaternion's real part and the factors are
+            exponentiated. As in the authors' code the factors, from 1/e to e, multiply the *logarithm* of the scale,
+            so that their effect depends on the unit of length.
     """
     turn = torch.cat((offsets[:, 3:4].exp(), offsets[:, 4:7]), dim=-1)
     turned = normalize(quaternion_multiply(quats, turn), dim=-1)
-    return Moved(places + offsets[:, :3], turned, (log_scales * offsets[:, 7:].exp()).exp())
+    return WorldGeometry(places + offsets[:, :3], turned, (log_scales * offsets[:, 7:].exp()).exp())
 
 
-def encoded(points: Float[Tensor, "N 3"], octaves: int) -> Float[Tensor, "N D"]:
-    """The points (m) and, octave by octave, sines and cosines of 2ᵏx, without π."""
+def positional_encoding(points: Float[Tensor, "N 3"], octaves: int) -> Float[Tensor, "N D"]:
+    """The points (m), then sine and cosine of 2ᵏx (without π) for every octave."""
     angles = points[:, None] * 2.0 ** torch.arange(octaves, device=points.device, dtype=points.dtype)[:, None]
     return torch.cat((points, torch.stack((angles.sin(), angles.cos()), dim=2).flatten(1)), dim=-1)
 
 
 @torch.no_grad()
-def spacing(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
-    """Root of the mean squared distance to the three nearest neighbours, m; 0.3 mm at least (3DGS)."""
+def neighbor_distance(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+    """Root mean square distance to the three nearest neighbors, m; at least 0.3 mm (3DGS)."""
     found, _ = KDTree(points.cpu().numpy()).query(points.cpu().numpy(), k=4)
     distances = torch.as_tensor(np.asarray(found)[:, 1:]).to(points)
     return distances.square().mean(-1).clamp_min(1e-7).sqrt()
 
 
 def make_network(config: Config, scene: Scene) -> ConditionedPerceptron:
-    """The network, with torch's default start or an end of zeros."""
+    """The network, with torch's default initialization or, for initial offsets of zero, a last layer of zeros."""
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
     conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
     features = 3 + 6 * config.octaves
@@ -303,8 +303,8 @@ def make_network(config: Config, scene: Scene) -> ConditionedPerceptron:
     return network.to(scene.background.device)
 
 
-def first_rows(config: Config, samples: SurfaceSamples) -> Rows:
-    """Unturned, grey, nearly transparent Gaussians; scales follow from where the network first puts them."""
+def initial_rows(config: Config, samples: SurfaceSamples) -> Rows:
+    """Unrotated, gray, nearly transparent Gaussians; the caller sets their scales."""
     count, like = len(samples.face), samples.weights
     learnable = {
         "quats": Column(like.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), config.rotation_rate),
@@ -319,7 +319,7 @@ def first_rows(config: Config, samples: SurfaceSamples) -> Rows:
 
 
 def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSamples:
-    """Where Gaussians sit; fewer texels along the edge if all of them were more than the training allows."""
+    """Places of the Gaussians on the mesh, with fewer texels if there would be more than the training allows."""
     head = scene.head
     allowed = torch.ones(len(head.faces), dtype=torch.bool, device=head.faces.device)
     if config.boundary == "drop":
@@ -327,10 +327,10 @@ def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSa
         touching = lower_boundary(head.template, head.faces) if rim is None else torch.isin(head.faces, rim).any(-1)
         allowed = ~touching
     if config.layout == "strip" or head.uv is None:
-        room = face_areas(head.neutral(), head.faces) ** config.room_power * allowed
-        room = room * torch.where(_ever_seen(scene, poses), 1.0, config.unseen_room)
+        weights = face_areas(head.neutral(), head.faces) ** config.room_power * allowed
+        weights = weights * torch.where(_ever_visible(scene, poses), 1.0, config.unseen_room)
         count = min(round(config.texels**2 * FLAME_COVERAGE), scene.max_gaussians)
-        return strip_samples(head.neutral(), head.faces, room, count)
+        return strip_samples(head.neutral(), head.faces, weights, count)
     side = config.texels
     while True:
         samples = texel_samples(head.uv, side)
@@ -340,10 +340,10 @@ def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSa
         side = min(side - 1, int(side * (scene.max_gaussians / int(kept.sum())) ** 0.5))
 
 
-def _ever_seen(scene: Scene, poses: HeadPoses) -> Tensor:
-    """Triangles that some training frame can show; all if there are no frames."""
+def _ever_visible(scene: Scene, poses: HeadPoses) -> Tensor:
+    """Mask of the triangles that face the camera in some training frame; all if there are no frames."""
     if not scene.drives:
         return torch.ones(len(scene.head.faces), dtype=torch.bool, device=scene.head.faces.device)
-    chosen = spaced(tuple(range(len(scene.drives))), VIEWS)
+    chosen = evenly_spaced(tuple(range(len(scene.drives))), VISIBILITY_FRAMES)
     posed = [poses.hold_torso(scene.head.vertices(scene.drives[row]), scene.drives[row], scene.head) for row in chosen]
     return camera_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)

@@ -1,18 +1,19 @@
-"""Gaussian Blendshapes (Ma et al. 2024): neutral Gaussians and one linear difference an expression coefficient.
+"""Gaussian Blendshapes (Ma et al. 2024): neutral Gaussians and a linear difference per expression coefficient.
 
-S. Ma, Y. Weng, T. Shao and K. Zhou, "3D Gaussian Blendshapes for Head Avatar Animation", SIGGRAPH 2024, after its text
-and the constants of its public code. Chosen as the fourth baseline because linear blendshapes of Gaussians are the
-fast, real-time family users ask for: a frame costs a weighted sum, no network, and the rig is one animators know.
+S. Ma, Y. Weng, T. Shao and K. Zhou, "3D Gaussian Blendshapes for Head Avatar Animation", SIGGRAPH 2024; implemented
+from the paper with the constants of its public code. It is the fourth baseline because linear blendshapes of Gaussians
+are the family for real-time use: a frame costs a weighted sum without a network, and animators know the rig.
 
-    1. Neutral Gaussians lie on the neutral mesh; they hang on a triangle, but live in head space.
-    2. Every expression coefficient (and lid) has a blendshape of all properties. Its start is the mesh blendshape,
-    carried over by deformation transfer; learned differences come on top, blended linearly.
-    3. Consistency: a learned difference is scaled by how far the mesh blendshape moves the triangle, so that where the
-    mesh rests, the Gaussians rest. 4. The joints pose the result by linear blend skinning (Sec. 3.3). Upper and lower
-    teeth are Gaussians that follow head and jaw inside a cylinder, for heads whose mesh has none; eyes follow their
-    joints. 5. Image loss, coverage against the mask, and the cylinder (Sec. 3.4).
+    1. Neutral Gaussians lie on the neutral mesh; each is assigned to a triangle, but defined in head space.
+    2. Every expression (and eyelid) coefficient has a blendshape of all properties: the mesh blendshape by deformation
+       transfer, plus learned differences, blended linearly.
+    3. Consistency: a learned difference is scaled by the displacement of the triangle in the mesh blendshape, so that
+       Gaussians are static where the mesh is.
+    4. The joints pose the result by linear blend skinning (Sec. 3.3). For meshes without teeth, upper and lower teeth
+       are Gaussians inside a cylinder that follow head and jaw; eyes follow their joints.
+    5. The loss has an image term, coverage against the mask, and the distance from the cylinder (Sec. 3.4).
 
-Spherical harmonics are not turned with the skin: the head pose is in the camera, and what is left are small angles.
+Spherical harmonics are not rotated with the skin: the head pose is in the camera, and the remaining angles are small.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.gaussians.density_control import DensityControl, accumulate, statistics
+from ggavatar.gaussians.density_control import DensityControl, accumulate, scaled_schedule, statistics
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.deformation_transfer import FaceDeformations, transfer_blendshapes
 from ggavatar.geometry.surface_sampling import sample_surface
@@ -38,44 +39,44 @@ from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder
 from ggavatar.head.region_boxes import region_boxes
-from ggavatar.head.triangle_skinning import FaceMotion, FaceSkin
+from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms
+from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
 
 PROPERTIES = (3, 4, 3, 1)
-"""Numbers of a position, a quaternion, a scale and an opacity; the harmonics follow."""
+"""Components of position, quaternion, scale and opacity in a difference; those of the harmonics follow."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Every number of the method; the defaults are the authors'. Iterations are those of `iterations`."""
+    """All settings of the method; the defaults are those of the authors. Iterations refer to `iterations`."""
 
     iterations: int = 40_000
-    """Length of the training that the constants below belong to, iterations (public code)."""
+    """Length of the training that all iteration constants refer to (public code)."""
     pose_on: Literal["camera", "neck"] = "camera"
-    """Where the head pose acts: on the camera, as it was tracked, or on the neck too, so that the torso is still."""
+    """What the head pose moves: the camera, as tracked, or the neck too, so that the torso stays still."""
     consistency: bool = True
     """Whether learned differences are scaled by the displacement of the mesh (Sec. 3.4)."""
     consistency_threshold: float = 0.004
-    """Share of the largest displacement below which a triangle rests (public code: 0.1 × 0.237 mm of 5.7 mm)."""
+    """Fraction of the largest displacement below which a triangle is static (public code: 0.1 × 0.237 mm of 5.7 mm)."""
     blendshapes: int = 50
-    """Most blendshapes a Gaussian learns differences of, those that move it most; the mesh transfers all (code)."""
+    """Maximum number of blendshapes with learned differences per Gaussian, those that move it most (code)."""
 
     first_gaussians: int = 50_000
-    """Gaussians to begin with, spread evenly over the mesh; at most 0.6 of those allowed (Sec. 4)."""
+    """Initial Gaussians, spread evenly over the mesh; at most 0.6 of the maximum number (Sec. 4)."""
     mouth_gaussians: float = 0.1
-    """Gaussians in the mouth for upper and for lower teeth, each as a share of `first_gaussians` (public code)."""
+    """Gaussians for the upper and for the lower teeth, each as a fraction of `first_gaussians` (public code)."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (public code), or read off a few training frames."""
+    """Initial colors: `grey` (public code), or from a few training `frames`."""
 
     position_rate: float = 1.6e-4
     """Learning rate of neutral positions at the start, m (public code)."""
     position_decay: float = 0.01
-    """Share of the position rate that is left at `position_iterations` (public code)."""
+    """Final position rate as a fraction of the initial one, reached at `position_iterations` (public code)."""
     position_iterations: int = 30_000
     """Iterations over which the position rate falls; constant afterwards (public code)."""
     scale_rate: float = 5e-3
@@ -85,9 +86,9 @@ class Config:
     opacity_rate: float = 0.05
     """Learning rate of opacity logits (public code)."""
     color_rate: float = 2.5e-3
-    """Learning rate of the constant spherical harmonic; the others learn at a 20th (public code)."""
+    """Learning rate of the constant spherical harmonic; the rate of the others is 1/20 of it (public code)."""
     difference_rate: float = 1.0
-    """Factor on the next five, for trainings shorter than the authors' (ours)."""
+    """Factor on the next five rates, for trainings shorter than the authors' (ours)."""
     position_difference_rate: float = 3.2e-7
     """Learning rate of differences of positions, m (public code: 0.2 × 1.6e-6)."""
     scale_difference_rate: float = 5e-4
@@ -101,27 +102,27 @@ class Config:
     sh_degree: int = 3
     """Highest degree of the spherical harmonics, 0 to 3 (public code)."""
     sh_iterations: int = 1_000
-    """Iterations between two rises of the degree in use (public code)."""
+    """Iterations between increments of the degree in use (public code)."""
     difference_sh_degree: int = 3
     """Highest degree of the spherical harmonics that have differences, at most `sh_degree` (public code)."""
 
     density_start: int = 500
-    """Density control begins after this iteration (public code)."""
+    """Density control starts after this iteration (public code)."""
     density_stop: int = 15_000
-    """Density control ends with this iteration (public code)."""
+    """Last iteration with density control (public code)."""
     density_interval: int = 100
-    """Iterations between two rounds (public code); short trainings keep 20 steps, 30 rounds or at least 10 steps."""
+    """Iterations between two rounds (public code); short trainings: 20 steps, or 10 to 20 for 30 rounds."""
     density_gradient: float = 1e-3
-    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (code)."""
+    """Mean gradient norm of projected centers from which a Gaussian grows, normalized device coordinates (code)."""
     density_ramp: bool = False
-    """Whether room for new Gaussians opens evenly over the rounds (short trainings) or at once (3DGS)."""
+    """Whether the budget becomes available evenly over the rounds (for short trainings) or at once (3DGS)."""
     prune_iterations: int = 3_000
     """Iterations after which Gaussians above a tenth of the extent are removed; opacities are never reset (code)."""
     extent: float = 1.0
     """Extent of the scene, m (public code)."""
 
     dssim_share: float = 0.2
-    """Share of D-SSIM in the image loss (Sec. 3.4)."""
+    """Weight of D-SSIM in the image loss; L1 has the rest (Sec. 3.4)."""
     alpha_weight: float = 10.0
     """Weight of the mean squared difference between coverage and mask (public code)."""
     mouth_weight: float = 100.0
@@ -129,12 +130,12 @@ class Config:
     perceptual_weight: float = 0.0
     """Weight of a VGG loss; the public code adds LPIPS on the data of NeRFBlendShape."""
     crop_side: int = 96
-    """Side of the crops that the VGG loss looks at, px (ours)."""
+    """Side of a crop for the VGG loss, px (ours)."""
     crop_probability: float = 0.1
-    """Share of the steps with a crop (ours)."""
+    """Fraction of the steps with a crop (ours)."""
 
 
-SHORT: dict[str, Any] = {
+SHORT_TRAINING: dict[str, Any] = {
     "pose_on": "neck",
     "first_colors": "frames",
     "color_rate": 5e-3,
@@ -148,14 +149,14 @@ SHORT: dict[str, Any] = {
     "density_ramp": True,
     "alpha_weight": 1.0,
 }
-"""What a training of a few thousand steps on a CPU changes: the care that `ggavatar.SHORT` gives to our method."""
+"""Changes for trainings of a few thousand steps on a CPU, like `SHORT_TRAINING` of our method in `ggavatar.py`."""
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "without_consistency": {"consistency": False},
     "with_perceptual": {"perceptual_weight": 0.02},
 }
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {}}
 
 
 def build(config: Config, scene: Scene) -> GaussianBlendshapes:
@@ -167,7 +168,7 @@ def build(config: Config, scene: Scene) -> GaussianBlendshapes:
 
 
 class GaussianBlendshapes(nn.Module):
-    """The avatar: rows of neutral Gaussians with their differences, and tables that say how each triangle moves."""
+    """The avatar: rows of neutral Gaussians with their differences, and tables of the motion of each triangle."""
 
     steps_done: Tensor
 
@@ -180,14 +181,14 @@ class GaussianBlendshapes(nn.Module):
         self.spreads = torch.where(moving, spreads, torch.ones_like(spreads))
         self.mouth = MouthCylinder.of(self.head)
         self.changes, self.skin = face_tables(self.head, self.spreads, teeth=self.mouth is not None)
-        self.slots, self.strengths = strongest(self.changes.displacement * moving, config)
+        self.slots, self.strengths = strongest_blendshapes(self.changes.displacement * moving, config)
         self.units = difference_units(config).to(self.spreads)
-        self.rows = first_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
+        self.rows = initial_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
         self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
-        self._kept: tuple[Tensor, Tensor] | None = None
+        self._cached: tuple[Tensor, Tensor] | None = None
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space (Sec. 3.1, 3.3)."""
@@ -195,7 +196,7 @@ class GaussianBlendshapes(nn.Module):
         coefficients = torch.cat((drive.expression, drive.eyelids)) / self.spreads
         with torch.no_grad():
             linear, offset, turn = self.changes.at(coefficients)
-            skin = self._motion(drive)
+            skin = self._face_transforms(drive)
             shift = (skin.linear @ offset[:, :, None]).squeeze(-1) + skin.offset
             point, shift, turn = (skin.linear @ linear)[face], shift[face], turn[face]
             weights = (self.strengths * coefficients[self.slots])[face]
@@ -212,7 +213,7 @@ class GaussianBlendshapes(nn.Module):
         )
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """Image, coverage and the mouth's cylinder (Sec. 3.4); the perceptual loss where it was asked for."""
+        """Image loss, coverage and the mouth's cylinder (Sec. 3.4), and the perceptual loss if configured."""
         config = self.config
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),
@@ -229,12 +230,12 @@ class GaussianBlendshapes(nn.Module):
         return terms
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """Adam on the rows."""
+        """Adam for the rows."""
         return [self.rows.optimizer]
 
     @torch.no_grad()
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Density control after `step`; rates and degree of the next."""
+        """Density control after `step`, then rates and degree of `step + 1`."""
         if self.density.is_active(step):
             accumulate(self.rows, rendering)
             unit = torch.ones(len(self.slots), device=self.slots.device)
@@ -243,23 +244,23 @@ class GaussianBlendshapes(nn.Module):
         self.steps_done.fill_(step)
 
     def train(self, mode: bool = True) -> GaussianBlendshapes:
-        """Switch between training and evaluation; evaluation leaves out what no blendshape moves."""
-        self._kept = None
+        """Switch between training and evaluation, in which rows without differences are skipped."""
+        self._cached = None
         return super().train(mode)
 
     def notes(self) -> dict[str, str]:
-        """Which features the perceptual loss used."""
+        """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
 
-    def _motion(self, drive: Drive) -> FaceMotion:
-        """Skinning of every triangle, the torso held still if the head pose acts on the neck."""
-        motion = self.skin.motion(self.head, drive)
+    def _face_transforms(self, drive: Drive) -> FaceTransforms:
+        """Transforms of every triangle; the torso is held still if the head pose moves the neck."""
+        transforms = self.skin.transforms(self.head, drive)
         if self.config.pose_on == "camera" or not self.poses.in_camera:
-            return motion
-        return self.skin.hold(motion, self.poses.torso(drive), self.head.joint("root"))
+            return transforms
+        return self.skin.hold_torso(transforms, self.poses.torso(drive), self.head.joint("root"))
 
     def _differences(self, weights: Float[Tensor, "N M"]) -> tuple[Tensor, ...]:
-        """What the learned differences add to positions, quaternions, log-scales, opacity logits and harmonics."""
+        """Blended differences of positions, quaternions, log-scales, opacity logits and harmonics."""
         if self.training or torch.is_grad_enabled():
             added = blend(self.rows["differences"], weights) * self.units
         else:
@@ -269,20 +270,20 @@ class GaussianBlendshapes(nn.Module):
         return added.split((*PROPERTIES, added.shape[1] - sum(PROPERTIES)), dim=1)
 
     def _moving_rows(self) -> tuple[Tensor, Tensor]:
-        """Rows whose triangle any blendshape moves, and their differences; kept until training goes on."""
-        if self._kept is None:
+        """Rows whose triangle some blendshape moves, and their differences; cached until training resumes."""
+        if self._cached is None:
             moving = (self.strengths[self.rows["face"]] > 0).any(1).nonzero().squeeze(1)
-            self._kept = moving, self.rows["differences"][moving]
-        return self._kept
+            self._cached = moving, self.rows["differences"][moving]
+        return self._cached
 
     def _colors(self, tinted: Float[Tensor, "N K 3"]) -> Float[Tensor, "N L 3"]:
-        """Spherical harmonics with their differences."""
+        """Spherical harmonics plus their differences."""
         rows, count = self.rows, tinted.shape[1]
         sh = harmonics(rows)
         return torch.cat((sh[:, :count] + tinted, sh[:, count:]), dim=1)
 
     def _sh_degree(self) -> int:
-        """Degree in use: one more every `sh_iterations`."""
+        """Degree of the spherical harmonics in use."""
         return degree_in_use(
             self.steps_done,
             scaled(self.config.sh_iterations, self.scene.steps, self.config.iterations),
@@ -291,13 +292,13 @@ class GaussianBlendshapes(nn.Module):
 
 
 def blend(differences: Float[Tensor, "N D M"], weights: Float[Tensor, "N M"]) -> Float[Tensor, "N D"]:
-    """Σ_m w_m Δ_m: what the learned differences of a Gaussian add up to; no gradient reaches the weights."""
+    """Weighted sum Σ_m w_m Δ_m of the learned differences of each Gaussian; no gradient flows into the weights."""
     blended: Tensor = _Blend.apply(differences, weights)
     return blended
 
 
 class _Blend(torch.autograd.Function):
-    """The sum; the outer product on the way back as one broadcast, which is five times as fast as torch's own."""
+    """The weighted sum; its backward is one broadcast product, five times as fast as torch's."""
 
     @staticmethod
     def forward(ctx: Any, differences: Tensor, weights: Tensor) -> Tensor:
@@ -311,30 +312,31 @@ class _Blend(torch.autograd.Function):
 
 
 def coefficient_spreads(head: HeadModel, drives: tuple[Drive, ...]) -> Float[Tensor, " K"]:
-    """Root mean square of every expression coefficient and lid in training; 0 for one that never moved.
+    """Root mean square of every expression and eyelid coefficient in training; 0 for coefficients that are always 0.
 
-    Blendshapes are counted in these units, so that rates mean the same for FLAME's coefficients, which are standard
-    deviations, and for any other head's. What never moved only follows the mesh.
+    They are the units of the blendshapes, so that learning rates have the same effect for FLAME's coefficients, which
+    are standard deviations, and for those of other heads. Coefficients that are always 0 get no learned differences.
     """
     seen = [torch.cat((drive.expression, drive.eyelids)) for drive in drives or (head.neutral_drive(),)]
     spreads = torch.stack(seen).square().mean(0).sqrt()
     return torch.where(spreads > 1e-6, spreads, torch.zeros_like(spreads))
 
 
-def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceDeformations, FaceSkin]:
-    """Mesh blendshapes and skinning of every triangle; with `teeth`, of two more that follow the head and the jaw."""
+def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> tuple[FaceDeformations, FaceSkinning]:
+    """Mesh blendshapes and skinning of every triangle; `teeth` adds two triangles that follow head and jaw."""
     displacements = torch.cat((head.expression_basis, head.eyelid_basis), dim=2) * spreads
-    changes, skin = transfer_blendshapes(head.template, head.faces, displacements), FaceSkin.of(head)
+    changes, skin = transfer_blendshapes(head.template, head.faces, displacements), FaceSkinning.of(head)
     if not teeth:
         return changes, skin
     rigid = [head.joint(name if name in head.joint_names else head.joint_names[0]) for name in ("neck", "jaw")]
-    return changes.with_static_faces(2), skin.with_rigid(rigid)
+    return changes.with_static_faces(2), skin.with_rigid_faces(rigid)
 
 
-def strongest(displacement: Float[Tensor, "F K"], config: Config) -> tuple[Tensor, Tensor]:
-    """For every triangle the blendshapes that move it and how much: slots [F, M] and strengths in [0, 1] [F, M].
+def strongest_blendshapes(displacement: Float[Tensor, "F K"], config: Config) -> tuple[Tensor, Tensor]:
+    """Indices [F, M] of the blendshapes that move each triangle most, and their strengths in [0, 1] [F, M].
 
-    The strength is max(‖d‖ − t, 0) / (d_max − t), t = `consistency_threshold` · d_max; M is as small as it can be.
+    The strength is max(‖d‖ − t, 0) / (d_max − t) with t = `consistency_threshold` · d_max. M is the largest number of
+    nonzero strengths of a triangle, at most `blendshapes`.
     """
     largest = displacement.max().clamp_min(1e-12)
     threshold = config.consistency_threshold * largest
@@ -347,9 +349,9 @@ def strongest(displacement: Float[Tensor, "F K"], config: Config) -> tuple[Tenso
 
 
 def difference_units(config: Config) -> Float[Tensor, " D"]:
-    """Units of the stored differences: the learning rates, so that one column with a rate of 1 has them all.
+    """Units of the stored differences: their learning rates, so that one column with rate 1 holds all of them.
 
-    Adam does not notice the scale of a gradient; this is exact.
+    Adam is invariant to the scale of a gradient, so this is exact.
     """
     degree = min(config.difference_sh_degree, config.sh_degree)
     rates = (
@@ -362,18 +364,18 @@ def difference_units(config: Config) -> Float[Tensor, " D"]:
     return torch.cat([torch.full((count,), rate) for rate, count in rates])
 
 
-def first_rows(config: Config, scene: Scene, mouth: MouthCylinder | None, differences: tuple[int, int]) -> Rows:
-    """Small grey Gaussians spread over the mesh and in the mouth, as large as they are apart, without differences."""
+def initial_rows(config: Config, scene: Scene, mouth: MouthCylinder | None, differences: tuple[int, int]) -> Rows:
+    """Small gray Gaussians over the mesh and in the mouth, as large as their spacing, with differences of zero."""
     head, generator = scene.head, seeded(scene.seed, 4)
     wanted = min(config.first_gaussians, int(0.6 * scene.max_gaussians))
     means, face, apart = sample_surface(head.neutral(), head.faces, wanted, generator)
     log_scales = torch.full((len(means), 3), apart).log()
     if mouth is not None:
         each = round(config.mouth_gaussians * wanted)
-        spacing = (math.pi * mouth.radius**2 * mouth.half_height / max(each, 1)) ** (1 / 3)
+        distance = (math.pi * mouth.radius**2 * mouth.half_height / max(each, 1)) ** (1 / 3)
         means = torch.cat((means, mouth.points(2 * each, generator)))
         face = torch.cat((face, len(head.faces) + torch.arange(2).repeat_interleave(each).to(face)))
-        log_scales = torch.cat((log_scales, torch.full((2 * each, 3), spacing).log()))
+        log_scales = torch.cat((log_scales, torch.full((2 * each, 3), distance).log()))
     count, device = len(means), head.faces.device
     learnable = {
         "means": Column(means, config.position_rate * config.extent),
@@ -390,16 +392,10 @@ def first_rows(config: Config, scene: Scene, mouth: MouthCylinder | None, differ
 
 
 def density_control(config: Config, scene: Scene) -> DensityControl:
-    """The density schedule scaled to this training; there are no opacity resets."""
-    start = scaled(config.density_start, scene.steps, config.iterations)
-    stop = scaled(config.density_stop, scene.steps, config.iterations)
-    wanted = scaled(config.density_interval, scene.steps, config.iterations)
-    interval = max(min(max(20, wanted), (stop - start) // 30), 10)
+    """The density schedule scaled to this training; opacities are never reset."""
+    iterations = config.density_start, config.density_stop, config.density_interval, config.prune_iterations
     return DensityControl(
-        start=start,
-        stop=stop,
-        interval=interval,
-        reset_interval=max(scaled(config.prune_iterations, scene.steps, config.iterations), 10 * interval),
+        *scaled_schedule(*iterations, scene.steps, config.iterations),
         resetting=False,
         gradient=config.density_gradient,
         extent=config.extent,

@@ -1,11 +1,11 @@
 """GGAvatar (Li et al. 2024): Gaussians on a head mesh, refined by an expression-driven Geometry Morph Adjuster.
 
-Read it beside the paper: every equation is named where it is computed, and docs/paper.md says how each gap in the
-text was closed (A1–A34).
+Comments number the paper's equations; docs/paper.md lists the choices where the paper is silent (A1–A34).
 
-    1. Neutral phase (Sec. 3.2): one Gaussian per triangle of the neutral head, grown by density control with
-    inherited bindings. 2. Then (Sec. 3.3) the head moves with the tracked expression, and the adjuster adds Δμ, Δr,
-    Δs = W(x)·f(ψ, θ) to every Gaussian.
+    1. Neutral phase (Sec. 3.2): one Gaussian per triangle of the neutral head, then density control with inherited
+       bindings.
+    2. Adjusted phase (Sec. 3.3): the head follows the tracked expression, and the adjuster adds Δμ, Δr, Δs =
+       W(x)·f(ψ, θ) to every Gaussian.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from torch import Tensor, nn
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
-from ggavatar.gaussians.binding import Placed, bind
-from ggavatar.gaussians.density_control import DensityControl, accumulate
+from ggavatar.gaussians.binding import WorldGeometry, bind
+from ggavatar.gaussians.density_control import DensityControl, accumulate, scaled_schedule
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.gaussians.initialization import BoundRates, bound_rows
-from ggavatar.gaussians.offsets import COLOUR, Offsets, refine
+from ggavatar.gaussians.offsets import COLOR_ROWS, GEOMETRY_ROWS, Offsets, refine
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.terms import image_terms, l1, log_scale_regulariser, position_regulariser
+from ggavatar.losses.dssim import image_terms
+from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
@@ -41,13 +42,13 @@ from ggavatar.optim.seeding import seeded
 
 @dataclass(frozen=True)
 class Config:
-    """Every number of the method.
+    """All settings of the method.
 
-    Iterations are those of the paper's 120,000 and scale with the length of the training.
+    Iterations refer to the paper's 120,000 and scale with the length of the training.
     """
 
     neutral_iterations: int = 5_000
-    """Iterations on the neutral mesh, before expressions, adjuster and perceptual loss begin (Sec. 3.5)."""
+    """Iterations on the neutral mesh, before expressions, adjuster and perceptual loss start (Sec. 3.5)."""
     initialization: bool = True
     """Whether there is a neutral phase at all (Table 2, w/o initialization)."""
     skinning: bool = True
@@ -55,16 +56,16 @@ class Config:
     adjuster: bool = True
     """Whether there is a Geometry Morph Adjuster (Table 2, w/o Geometry Morph Adjuster)."""
     pose_on: Literal["camera", "neck"] = "camera"
-    """Where the head pose acts: on the camera (the paper), or on the neck too, so that the torso is still (A12)."""
+    """What the head pose moves: the camera (the paper), or the neck too, so that the torso stays still (A12)."""
     condition: Literal["face", "face_and_pose"] = "face"
-    """What F_ψθ sees: facial parameters (the paper), or the head pose within its training range too (A12)."""
+    """Inputs of F_ψθ: facial parameters (the paper), or also the head pose, clamped to its training range (A12)."""
     field: Literal["triplane", "fourier"] = "triplane"
     """Features of neutral positions; `fourier` is Table 2, w/o tri-plane."""
 
     position_rate: float = 5e-3
     """Learning rate of local positions at the start, triangle units (Sec. 3.5; A19)."""
     position_decay: float = 0.01
-    """Share of the position rate that is left at `position_iterations` (Sec. 3.5)."""
+    """Final position rate as a fraction of the initial one, reached at `position_iterations` (Sec. 3.5)."""
     position_iterations: int = 60_000
     """Iterations over which the position rate falls; constant afterwards (Sec. 3.5)."""
     scale_rate: float = 5e-3
@@ -74,24 +75,24 @@ class Config:
     opacity_rate: float = 0.05
     """Learning rate of opacity logits (3DGS)."""
     color_rate: float = 2.5e-3
-    """Learning rate of the constant spherical harmonic; the others learn at a 20th (3DGS)."""
+    """Learning rate of the constant spherical harmonic; the rate of the others is 1/20 of it (3DGS)."""
     sh_degree: int = 3
     """Highest degree of the spherical harmonics, 0 to 3 (3DGS; A21)."""
     sh_iterations: int = 1_000
-    """Iterations between two rises of the degree in use (3DGS)."""
+    """Iterations between increments of the degree in use (3DGS)."""
     first_colors: Literal["grey", "frames"] = "grey"
-    """Colours to begin with: grey (GaussianAvatars), or read off a few training frames."""
+    """Initial colors: `grey` (GaussianAvatars), or from a few training `frames`."""
 
     density_start: int = 500
-    """Density control begins after this iteration (Sec. 3.5)."""
+    """Density control starts after this iteration (Sec. 3.5)."""
     density_stop: int = 60_000
-    """Density control ends with this iteration, and opacity resets with it (Sec. 3.5; A20)."""
+    """Last iteration with density control and opacity resets (Sec. 3.5; A20)."""
     density_interval: int = 100
-    """Iterations between two rounds (Section 3.5); short trainings keep 20 steps, 30 rounds or at least 10 steps."""
+    """Iterations between two rounds (Section 3.5); short trainings: 20 steps, or 10 to 20 for 30 rounds."""
     density_gradient: float = 2e-4
-    """Mean gradient norm of projected centres from which a Gaussian grows, normalised device coordinates (3DGS)."""
+    """Mean gradient norm of projected centers from which a Gaussian grows, normalized device coordinates (3DGS)."""
     density_ramp: bool = False
-    """Whether room for new Gaussians opens evenly over the rounds (ours, for short trainings) or at once (3DGS)."""
+    """Whether the budget becomes available evenly over the rounds (ours, short trainings) or at once (3DGS)."""
     reset_iterations: int = 3_000
     """Iterations between two opacity resets (Sec. 3.5); none in trainings shorter than a tenth of the paper's."""
     extent: float = 1.0
@@ -112,9 +113,9 @@ class Config:
     octaves: int = 10
     """Octaves of the positional encoding in w/o tri-plane (NeRF)."""
     offset_unit: float = 0.01
-    """Metres per unit of Δμ (A6)."""
+    """Meters per unit of Δμ (A6)."""
     color_unit: float = 0.0
-    """Colour, as sRGB, per unit of three further rows of the basis; 0 is the paper, whose basis has none."""
+    """sRGB color per unit of three color rows of the basis; 0 is the paper, whose basis has none."""
     network_rate: float = 1e-4
     """Learning rate of F_H and F_ψθ (Sec. 3.5)."""
     field_rate: float = 5e-3
@@ -125,21 +126,21 @@ class Config:
     perceptual_weight: float = 0.02
     """λ2, weight of the VGG loss after the neutral phase (Eq. 16)."""
     perceptual_mode: Literal["image", "crops"] = "image"
-    """VGG loss on the whole image in every step (Section 3.4), or on crops in some at the same expected weight."""
+    """VGG loss on the whole image (Section 3.4), or on crops in some steps with the same expected weight."""
     crop_side: int = 128
     """Side of a crop, px."""
     crop_probability: float = 0.2
-    """Share of the steps with a crop."""
+    """Fraction of the steps with a crop."""
     position_weight: float = 0.01
-    """λ3, weight of the position regulariser (Eq. 16)."""
+    """λ3, weight of the position regularizer (Eq. 16)."""
     position_threshold: float = 1.0
     """ε_position, triangle units (Eq. 14)."""
     scale_weight: float = 1.0
-    """λ4, weight of the scale regulariser (Eq. 16)."""
+    """λ4, weight of the scale regularizer (Eq. 16)."""
     scale_threshold: float = 0.6
     """ε_scaling, triangle units (Eq. 15)."""
     alpha_weight: float = 0.0
-    """Weight of the mean absolute difference between coverage and mask; 0 is the paper, which compares colours only."""
+    """Weight of the mean absolute difference between coverage and mask; 0 is the paper, which compares colors only."""
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -149,7 +150,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "without_initialization": {"initialization": False},
 }
 
-SHORT: dict[str, Any] = {
+SHORT_TRAINING: dict[str, Any] = {
     "pose_on": "neck",
     "condition": "face_and_pose",
     "first_colors": "frames",
@@ -167,12 +168,12 @@ SHORT: dict[str, Any] = {
     "sh_iterations": 20_000,
     "alpha_weight": 0.1,
 }
-"""What a training of a few thousand steps on a CPU changes.
+"""Changes for trainings of a few thousand steps on a CPU.
 
 Measured in docs/experiments/2026-11-22-learning-rates-for-short-trainings.md.
 """
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": SHORT, "paper": {}}
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {}}
 
 
 def build(config: Config, scene: Scene) -> GGAvatar:
@@ -184,7 +185,7 @@ def build(config: Config, scene: Scene) -> GGAvatar:
 
 
 class GGAvatar(nn.Module):
-    """The avatar: rows of Gaussians in the spaces of their triangles, the adjuster, and the number of steps done."""
+    """The avatar: rows of Gaussians in the local spaces of their triangles, and the adjuster."""
 
     steps_done: Tensor
 
@@ -193,7 +194,7 @@ class GGAvatar(nn.Module):
         self.config, self.scene = config, scene
         self.head: HeadModel = scene.head
         self.poses = HeadPoses.of(self.head, scene.drives)
-        self.neutral_frames = triangle_frames(self.head.neutral(), self.head.faces)
+        self.neutral_local_frames = triangle_frames(self.head.neutral(), self.head.faces)
         self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4))
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
@@ -201,7 +202,7 @@ class GGAvatar(nn.Module):
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
         self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
-        self._kept_hidden: Tensor | None = None
+        self._cached_hidden: Tensor | None = None
 
     @property
     def is_neutral(self) -> bool:
@@ -212,7 +213,7 @@ class GGAvatar(nn.Module):
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space (Eq. 4–12)."""
-        means, quats, scales = self._placed(self._face_frames(drive))
+        means, quats, scales = self._bound(self._local_frames(drive))
         if self.adjuster is not None and not self.is_neutral:
             offsets = self._offsets(self._condition(drive))  # Eq. 9–11, W never built
             means, quats, scales = refine(means, quats, scales, offsets, self.config.offset_unit)  # Eq. 12
@@ -222,14 +223,14 @@ class GGAvatar(nn.Module):
         return Gaussians(means, quats, scales, self.rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """The weighted terms of Eq. 13–16, and coverage if it is wanted."""
+        """The weighted terms of Eq. 13–16, and coverage if configured."""
         config, rows = self.config, self.rows
         visible = rendering.radii > 0
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),  # Eq. 13
             "position": config.position_weight
-            * position_regulariser(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * log_scale_regulariser(rows["log_scales"], visible, config.scale_threshold),
+            * position_regularizer(rows["means"], visible, config.position_threshold),
+            "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.alpha_weight:
             terms["alpha"] = config.alpha_weight * l1(rendering.alpha, frame.alpha)
@@ -239,34 +240,34 @@ class GGAvatar(nn.Module):
         return terms
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """Adam on the rows and Adam on the adjuster."""
+        """Adam for the rows and Adam for the adjuster."""
         return [self.rows.optimizer, *([self.adjuster_optimizer] if self.adjuster_optimizer else [])]
 
     @torch.no_grad()
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Density control after `step`; rates and stage of the next."""
+        """Density control after `step`, then rates and stage of `step + 1`."""
         if self.density.is_active(step):
             accumulate(self.rows, rendering)
-            self.density.apply(self.rows, step, self.neutral_frames.scales, seeded(self.scene.seed, 2, step))
+            self.density.apply(self.rows, step, self.neutral_local_frames.scales, seeded(self.scene.seed, 2, step))
         self.rows.set_rate("means", position_rate(self.config, self.scene, step))
         self.steps_done.fill_(step)
 
     def train(self, mode: bool = True) -> GGAvatar:
-        """Switch between training and evaluation; evaluation keeps what does not depend on the drive."""
-        self._kept_hidden = None
+        """Switch between training and evaluation, which caches what does not depend on the drive."""
+        self._cached_hidden = None
         return super().train(mode)
 
     def notes(self) -> dict[str, str]:
-        """What a reader of the results must know: which features the perceptual loss used."""
+        """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
 
     @torch.no_grad()
-    def _face_frames(self, drive: Drive) -> TriangleFrames:
-        """Frames of the triangles (Eq. 4–5): of the neutral head, or of the head as it is tracked."""
-        still = self.is_neutral or not self.config.skinning
-        if still and self.config.pose_on == "camera":
-            return self.neutral_frames
-        vertices = self.head.neutral() if still else self.head.vertices(drive)
+    def _local_frames(self, drive: Drive) -> TriangleFrames:
+        """Triangle frames (Eq. 4–5) of the neutral head or of the tracked head."""
+        neutral = self.is_neutral or not self.config.skinning
+        if neutral and self.config.pose_on == "camera":
+            return self.neutral_local_frames
+        vertices = self.head.neutral() if neutral else self.head.vertices(drive)
         if self.config.pose_on == "neck":
             vertices = self.poses.hold_torso(vertices, drive, self.head)
         return triangle_frames(vertices, self.head.faces)
@@ -276,33 +277,33 @@ class GGAvatar(nn.Module):
         face = self.head.condition(drive)
         return face if self.config.condition == "face" else torch.cat((face, self.poses.condition(drive)))
 
-    def _placed(self, frames: TriangleFrames) -> Placed:
-        """The Gaussians on these triangles (Eq. 6–8)."""
+    def _bound(self, local_frames: TriangleFrames) -> WorldGeometry:
+        """The Gaussians bound to these triangles (Eq. 6–8)."""
         rows = self.rows
-        return bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], frames)
+        return bind(rows["means"], rows["quats"], rows["log_scales"], rows["face"], local_frames)
 
     def _offsets(self, condition: Float[Tensor, " C"]) -> Offsets:
-        """W(x)·f(ψ, θ) at the neutral positions x (Eq. 9–11); evaluation computes what depends on x only once."""
+        """W(x)·f(ψ, θ) at the neutral positions x (Eq. 9–11); evaluation caches what depends on x only."""
         assert self.adjuster is not None
         if self.training or torch.is_grad_enabled():
             return self.adjuster(self._neutral_positions(), condition)
-        if self._kept_hidden is None:
-            self._kept_hidden = self.adjuster.cache(self._neutral_positions())
-        return self.adjuster.offsets(self._kept_hidden, self.adjuster.latent(condition))
+        if self._cached_hidden is None:
+            self._cached_hidden = self.adjuster.cache(self._neutral_positions())
+        return self.adjuster.offsets(self._cached_hidden, self.adjuster.latent(condition))
 
     @torch.no_grad()
     def _neutral_positions(self) -> Float[Tensor, "N 3"]:
-        """The Gaussians on the neutral head."""
-        return self._placed(self.neutral_frames).means
+        """Positions of the Gaussians on the neutral head, m."""
+        return self._bound(self.neutral_local_frames).means
 
     def _colors(self, offsets: Offsets | None) -> Float[Tensor, "N K 3"]:
-        """Spherical harmonics; with colour rows, the constant one moves with the condition."""
+        """Spherical harmonics; with color rows, the constant one depends on the condition."""
         if offsets is None or offsets.colors is None:
             return harmonics(self.rows)
         return harmonics(self.rows, self.rows["sh"] + (self.config.color_unit / SH_C0) * offsets.colors[:, None])
 
     def _sh_degree(self) -> int:
-        """Degree in use: one more every `sh_iterations`."""
+        """Degree of the spherical harmonics in use."""
         return degree_in_use(
             self.steps_done, scaled(self.config.sh_iterations, self.scene.steps), self.config.sh_degree
         )
@@ -320,7 +321,7 @@ def rates(config: Config) -> BoundRates:
 
 
 def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
-    """The Geometry Morph Adjuster around the neutral head; it starts as the identity."""
+    """The Geometry Morph Adjuster, its field around the neutral head; it starts as the identity."""
     generator = seeded(scene.seed, 5)
     box = Box.around(scene.head.neutral())
     sizes = HashTriplaneConfig(levels=config.field_levels, features=config.field_features, finest=config.field_finest)
@@ -329,13 +330,13 @@ def make_adjuster(config: Config, scene: Scene) -> BasisAdjuster:
     )
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
     conditions += POSE_FEATURES if config.condition == "face_and_pose" else 0
-    rows = COLOUR + 3 if config.color_unit else COLOUR
+    rows = GEOMETRY_ROWS + (COLOR_ROWS if config.color_unit else 0)
     adjuster_sizes = AdjusterConfig(config.latent, config.hidden, config.latent_hidden, rows)
     return BasisAdjuster(field, conditions, adjuster_sizes, generator).to(scene.background.device)
 
 
 def adjuster_optimizer(config: Config, adjuster: BasisAdjuster) -> torch.optim.Optimizer:
-    """Adam with the paper's two rates (Sec. 3.5); the tables, whose gradients are tiny, with instant-ngp's ε (A31)."""
+    """Adam with the paper's two rates (Sec. 3.5), and instant-ngp's ε for the tables' tiny gradients (A31)."""
     tables = [value for name, value in adjuster.named_parameters() if name.startswith("field.")]
     networks = [value for name, value in adjuster.named_parameters() if not name.startswith("field.")]
     groups = [{"params": networks, "lr": config.network_rate, "eps": 1e-8}]
@@ -345,14 +346,10 @@ def adjuster_optimizer(config: Config, adjuster: BasisAdjuster) -> torch.optim.O
 
 
 def density_control(config: Config, scene: Scene) -> DensityControl:
-    """The paper's density schedule scaled to this training; short trainings keep enough rounds and drop the resets."""
-    start, stop = scaled(config.density_start, scene.steps), scaled(config.density_stop, scene.steps)
-    interval = max(min(max(20, scaled(config.density_interval, scene.steps)), (stop - start) // 30), 10)
+    """The paper's density schedule scaled to this training; short trainings have no opacity resets."""
+    iterations = config.density_start, config.density_stop, config.density_interval, config.reset_iterations
     return DensityControl(
-        start=start,
-        stop=stop,
-        interval=interval,
-        reset_interval=max(scaled(config.reset_iterations, scene.steps), 10 * interval),
+        *scaled_schedule(*iterations, scene.steps, PAPER_STEPS),
         resetting=scene.steps >= PAPER_STEPS // 10,
         reset_at_start=bool((scene.background > 0.99).all()),
         gradient=config.density_gradient,

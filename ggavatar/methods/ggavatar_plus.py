@@ -1,13 +1,13 @@
-"""GGAvatar plus: the paper's avatar with a still torso, a bounded head pose as condition, and colours that follow both.
+"""GGAvatar plus: the paper's avatar with a still torso, the head pose as a condition, and condition-dependent colors.
 
-Ours. It holds a `ggavatar.GGAvatar` and states only what differs; what each difference is worth is measured in
+Ours. It wraps a `ggavatar.GGAvatar` and defines only the differences, whose effects are measured in
 docs/experiments/2026-11-28-ggavatar-plus-ablation.md.
 
-    1. The head pose acts on the neck too: what does not turn with the head need not be explained by offsets.
-    2. The latent network sees the head pose, held within its training range.
-    3. The basis has three more rows, for colour: wrinkles, shading, gaze (as in RGBAvatar and GPAvatar).
-    4. Mouth and eyes weigh more in the image loss (as in FlashAvatar), and coverage is compared with the mask.
-    5. First colours come from the frames, the budget of rows opens evenly, and rows learn faster for longer.
+    1. The head pose also moves the neck: offsets need not explain what does not turn with the head.
+    2. The latent network receives the head pose, clamped to its training range.
+    3. The basis has three more rows, for color: wrinkles, shading, gaze (as in RGBAvatar and GPAvatar).
+    4. The image loss has a larger weight in mouth and eyes (as in FlashAvatar), and coverage is compared with the mask.
+    5. Initial colors come from the frames, the budget becomes available evenly, and rows learn faster for longer.
 """
 
 from __future__ import annotations
@@ -23,21 +23,20 @@ from torch import Tensor, nn
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.head.region_boxes import region_boxes
+from ggavatar.losses.crop_sampler import Box
 from ggavatar.methods import ggavatar
-
-Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Config:
-    """What differs from the paper. Iterations are those of 120,000 and scale with the length of the training."""
+    """Settings that differ from the paper. Iterations refer to 120,000 and scale with the length of the training."""
 
     torso: bool = True
     """Whether the torso stays still while the head turns."""
     pose_condition: bool = True
-    """Whether the latent network sees the head pose."""
+    """Whether the latent network receives the head pose."""
     color_unit: float = 0.1
-    """Colour, as sRGB, per unit of a colour row; 0 leaves colours alone."""
+    """sRGB color per unit of a color row; 0 removes the color rows."""
     latent: int = 32
     """Length of the latent vector."""
     network_rate: float = 1e-3
@@ -45,7 +44,7 @@ class Config:
     position_rate: float = 1e-2
     """Learning rate of local positions at the start, triangle units; twice the paper's."""
     position_iterations: int = 120_000
-    """Iterations over which it falls; rows born late can still move."""
+    """Iterations over which it falls; 120,000 lets rows that are added late still move."""
     scale_rate: float = 0.017
     """Learning rate of the logarithms of local scales; GaussianAvatars', three times the paper's."""
     color_rate: float = 1e-2
@@ -53,11 +52,11 @@ class Config:
     sh_degree: int = 1
     """Highest degree of the spherical harmonics, 0 to 3."""
     sh_iterations: int = 20_000
-    """Iterations between two rises of the degree in use."""
+    """Iterations between increments of the degree in use."""
     density_start: int = 5_000
-    """Density control begins after this iteration."""
+    """Density control starts after this iteration."""
     region_weight: float = 1.0
-    """L1 over the boxes of mouth and eyes, as a multiple of its weight in the image loss, on top of it; 0 is none."""
+    """Additional weight of L1 over the boxes of mouth and eyes, as a multiple of that in the image loss; 0 is none."""
     alpha_weight: float = 0.1
     """Weight of the mean absolute difference between coverage and mask."""
     perceptual_weight: float = 0.02
@@ -65,7 +64,7 @@ class Config:
     crop_side: int = 96
     """Side of a crop, px."""
     crop_probability: float = 0.1
-    """Share of the steps with a crop."""
+    """Fraction of the steps with a crop."""
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -95,7 +94,7 @@ class GGAvatarPlus(nn.Module):
         return self.avatar.gaussians(drive)
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """The paper's terms, coverage, and the regions that people look at."""
+        """The paper's terms, coverage, and the L1 of mouth and eyes."""
         terms = dict(self.avatar.losses(frame, rendering, step))
         if self.config.region_weight and not self.avatar.is_neutral:
             boxes = region_boxes(self.avatar.head, frame)
@@ -104,15 +103,15 @@ class GGAvatarPlus(nn.Module):
         return terms
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """Those of the paper's avatar."""
+        """The optimizers of the paper's avatar."""
         return self.avatar.optimizers()
 
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Density control after `step`; rates and stage of the next."""
+        """Density control after `step`, then rates and stage of `step + 1`."""
         self.avatar.after_backward(rendering, step)
 
     def notes(self) -> dict[str, str]:
-        """Which features the perceptual loss used."""
+        """Notes for provenance.json: the features of the perceptual loss."""
         return self.avatar.notes()
 
 

@@ -1,8 +1,8 @@
-"""PointAvatar (Zheng et al. 2023): canonical points with learned motion, albedo and normals, drawn as discs.
+"""PointAvatar (Zheng et al. 2023): canonical points with learned deformation, albedo and normals, rendered as discs.
 
-Lengths inside are quarter metres, as in the authors' code, whose FLAME is four times as large; `UNIT` converts. Where
-a tracker keeps the head still and turns the camera, their still joint is the torso held before the camera and normals
-are shaded as the camera sees them: the same up to a rigid motion of everything.
+Internal lengths are quarter meters, as in the authors' code, whose FLAME is four times as large (`UNITS_PER_METER`).
+Where a tracker keeps the head still and moves the camera, the authors' static joint is the torso in front of the camera
+and normals are shaded in camera axes: the same up to a rigid transform of the scene.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrection
 from ggavatar.points.canonical import CanonicalNetwork, Surface
 from ggavatar.points.canonical_reference import CanonicalConfig
 from ggavatar.points.deformer import Features, PointDeformer
-from ggavatar.points.driving import Driver, Pose, canonical_drive, expression_coefficients
+from ggavatar.points.driving import PosedSkeleton, SkeletonDriver, canonical_drive, expression_coefficients
 from ggavatar.points.head_fitting import HeadSurface, fit_to_head
 from ggavatar.points.head_targets import HeadTargets
 from ggavatar.points.point_cloud import CloudSchedule, PointCloud
@@ -40,90 +40,90 @@ from ggavatar.points.skinning import deform, deformed_normals
 from ggavatar.render.discs.rasterizer import rasterizer as disc_rasterizer
 from ggavatar.render.discs.values import DiscRendering, Discs, similar_scale
 
-UNIT = 4.0
-"""Units of length of points and networks per metre."""
+UNITS_PER_METER = 4.0
+"""Units of length of points and networks per meter."""
 
 PERCEPTUAL_SIZE = 224
-"""Side that images are resized to for VGG, px."""
+"""Side of the images that VGG compares, px."""
 
 FITTING_POINTS = 20_000
-"""Places on the head model that the networks are fitted at."""
+"""Points on the head model at which the networks are fitted."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Every number of the method. Epochs are those of the authors' 62 and scale with the length of the training."""
+    """All settings of the method. Epochs refer to the authors' 62 and scale with the length of the training."""
 
     points: int = 400
-    """Points at first (authors' code)."""
+    """Initial number of points (authors' code)."""
     sphere: float = 0.5
-    """Radius of the sphere they begin on, quarter metres (authors' code)."""
+    """Radius of the initial sphere of points, quarter meters (authors' code)."""
     begin: Literal["sphere", "head"] = "sphere"
-    """Where they begin: on the sphere (authors' code), or on the head model in the canonical pose (ours)."""
+    """Initial points: on the sphere (authors' code), or on the head model in the canonical pose (ours)."""
     fitting_steps: int = 0
-    """Steps in which the networks first learn the head model's distance and motion, without pictures; 0 (authors)."""
+    """Steps that fit the networks to the head model before training; 0 is none (authors)."""
     radius_factor: float = 0.3
-    """Radius of the discs of 100 points, normalised device coordinates (authors' code)."""
+    """Radius of the discs of 100 points, normalized device coordinates (authors' code)."""
     max_points: int = 240_000
-    """No doubling may lead to more points (GGAvatar, Sec. 4.1); the training's own limit holds too."""
+    """Maximum number of points (GGAvatar, Sec. 4.1); --max-gaussians applies too."""
     epochs: int = 62
     """Length of the training (authors' code; A34)."""
     upsampling_epochs: int = 5
     """Epochs between two doublings (authors' code)."""
     pruning_frames: int = 1
-    """Fewest frames between two prunings, which otherwise come every epoch; ours, since short epochs see few poses."""
+    """Minimum number of frames between prunings, which otherwise happen every epoch (ours, for short epochs)."""
     pruning_radius: float = 0.006
-    """No pruning once discs are smaller, normalised device coordinates (authors' code)."""
+    """Radius of discs below which points are not pruned, normalized device coordinates (authors' code)."""
 
     rate: float = 1e-4
     """Learning rate of points and networks (authors' code)."""
     rate_left: float = 1.0
-    """Share of the rate that is left in the last step; the authors' decay never acts, as they rebuild Adam."""
+    """Final rate as a fraction of the initial one; the authors' decay has no effect, because they recreate Adam."""
     tracking_rate: float = 5e-4
-    """Learning rate of corrections of training frames, rad and quarter metres; 0 is none (authors' code)."""
+    """Learning rate of corrections of the tracking, rad and quarter meters; 0 is none (authors' code)."""
     tracking_epochs: int = 10
-    """Epochs before they begin (authors' code)."""
+    """Epochs before tracking corrections start (authors' code)."""
     jaw: float = 0.4
-    """Opening of the jaw in the canonical pose, rad; the expression in it is the mean one (authors' code)."""
+    """Opening of the jaw in the canonical pose, rad; its expression is the mean one (authors' code)."""
     pose_on: Literal["camera", "neck"] = "camera"
     """What the head model's root joint follows: the head (the authors), or the torso, as in ggavatar (A12)."""
 
     surface_width: int = 256
     """Width of the canonical network's hidden layers (authors' code)."""
     surface_layers: int = 9
-    """How many there are, more than four (authors' code)."""
+    """Number of hidden layers, more than four (authors' code)."""
     surface_octaves: int = 6
     """Octaves of its positional encoding (authors' code)."""
     normals: Literal["jacobian", "joints"] = "jacobian"
-    """How normals move: by the Jacobian of the whole motion (authors), or with the joints alone (ours, a quarter)."""
+    """Normals by the Jacobian of the deformation (authors), or by the joints only (ours, a quarter of the cost)."""
     hidden_type: Literal["float32", "fastest"] = "float32"
-    """Hidden layers of the canonical network: float32 (code), or bfloat16 on a CPU with instructions for it (ours)."""
+    """Hidden layers of the canonical network in float32 (code), or in bfloat16 on CPUs that support it (ours)."""
 
     mask_weight: float = 1.0
     """Weight of the mean absolute difference between coverage and mask (authors' code)."""
     perceptual_weight: float = 0.1
     """Weight of the VGG loss (authors' code)."""
     perceptual_mode: Literal["image", "crops"] = "image"
-    """VGG loss on the image resized to 224 px, or on crops in some steps at the same expected weight."""
+    """VGG loss on the image resized to 224 px, or on crops in some steps with the same expected weight."""
     crop_side: int = 64
     """Side of a crop, px."""
     crop_probability: float = 0.5
-    """Share of the steps with a crop."""
+    """Fraction of the steps with a crop."""
     distance_weight: float = 1.0
     """Weight of the mean squared signed distance of points (authors' code)."""
     eikonal_weight: float = 0.1
-    """Weight of the mean squared difference of the gradient's length from 1 (authors' code)."""
+    """Weight of the mean squared deviation of the gradient's length from 1 (authors' code)."""
     neighbours: float = 0.25
-    """Reach of the random neighbours at which it is looked at too, quarter metres (authors' code)."""
+    """Maximum distance per axis of the random neighbors in the eikonal loss, quarter meters (authors' code)."""
     head_weight: float = 10.0
     """Weight of the head model's targets, halved at every milestone (authors' code)."""
     head_milestones: tuple[int, ...] = (10, 20, 30, 40)
-    """Epochs at which it is halved (authors' code)."""
+    """Epochs at which `head_weight` is halved (authors' code)."""
     regularised: int = 0
-    """Points drawn in a step for the terms on geometry and head model, the same in expectation; 0 is all of them."""
+    """Random points per step for the surface and head-model terms, unbiased; 0 is all points."""
 
 
-SHORT: dict[str, Any] = {
+SHORT_TRAINING: dict[str, Any] = {
     "max_points": 20_000,
     "pruning_frames": 100,
     "rate": 1e-3,
@@ -133,12 +133,12 @@ SHORT: dict[str, Any] = {
     "perceptual_mode": "crops",
     "regularised": 256,
 }
-"""What a training of a few thousand steps on a CPU changes.
+"""Changes for trainings of a few thousand steps on a CPU.
 
 Measured in docs/experiments/2026-11-28-point-avatar-fast-preset.md.
 """
 
-FAST: dict[str, Any] = SHORT | {
+FAST_TRAINING: dict[str, Any] = SHORT_TRAINING | {
     "points": 4_000,
     "begin": "head",
     "fitting_steps": 200,
@@ -149,9 +149,9 @@ FAST: dict[str, Any] = SHORT | {
     "surface_octaves": 7,
     "normals": "joints",
 }
-"""What a training of a few minutes changes besides."""
+"""Changes for trainings of a few minutes."""
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT, "fast": FAST, "paper": {}}
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": FAST_TRAINING, "paper": {}}
 
 
 def build(config: Config, scene: Scene) -> PointAvatar:
@@ -160,19 +160,19 @@ def build(config: Config, scene: Scene) -> PointAvatar:
 
 
 def rasterizer(device: torch.device | str, backend: str = "auto") -> Rasterizer:
-    """What draws this method's discs."""
+    """The rasterizer of this method's discs."""
     return disc_rasterizer(device, backend)
 
 
 class Canonical(NamedTuple):
-    """What is known of the points before any drive."""
+    """Drive-independent properties of the points."""
 
     surface: Surface
     features: Features | None
 
 
 class PointAvatar(nn.Module):
-    """The avatar: points, the network of their surface, the one of their motion, the one of their shading."""
+    """The avatar: points, and the networks of their surface, deformation and shading."""
 
     steps_done: Tensor
 
@@ -182,19 +182,19 @@ class PointAvatar(nn.Module):
         drives = scene.drives or (self.head.neutral_drive(),)
         canonical = canonical_drive(self.head, drives, config.jaw)
         poses = HeadPoses.of(self.head, drives)
-        self.driver = Driver(self.head, canonical, poses, UNIT, config.pose_on == "neck")
+        self.driver = SkeletonDriver(self.head, canonical, poses, UNITS_PER_METER, config.pose_on == "neck")
         coefficients = torch.stack([expression_coefficients(drive) for drive in drives])
-        self.targets = HeadTargets.of(self.head, canonical, coefficients, UNIT)
+        self.targets = HeadTargets.of(self.head, canonical, coefficients, UNITS_PER_METER)
         self.canonical = canonical
         self.cloud = PointCloud(
-            config.points, config.sphere, config.radius_factor, config.rate, self._random(1), self._start()
+            config.points, config.sphere, config.radius_factor, config.rate, self._generator(1), self._initial_points()
         )
         hidden_type = matmul_dtype(scene.background.device) if config.hidden_type == "fastest" else None
         sizes = CanonicalConfig(config.surface_width, config.surface_layers, octaves=config.surface_octaves)
-        self.surface = CanonicalNetwork(sizes, self._random(2), hidden_type)
+        self.surface = CanonicalNetwork(sizes, self._generator(2), hidden_type)
         shapes = len(self.targets.blendshapes[0])
-        self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._random(3))
-        self.shading = ShadingNetwork(self._random(4))
+        self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._generator(3))
+        self.shading = ShadingNetwork(self._generator(4))
         networks = [*self.surface.parameters(), *self.deformer.parameters(), *self.shading.parameters()]
         self.optimizer = torch.optim.Adam(networks, lr=config.rate, betas=(0.9, 0.999), eps=1e-8, fused=True)
         self.corrections = corrections(config, scene)
@@ -202,32 +202,32 @@ class PointAvatar(nn.Module):
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
         self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
         self.schedule = cloud_schedule(config, scene)
-        self.metres = metres_per_device_unit(scene)
+        self.meters = meters_per_device_unit(scene)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
-        self._kept: Canonical | None = None
-        self._looked_at: Surface | None = None
+        self._cached: Canonical | None = None
+        self._surface_at_points: Surface | None = None
 
     @property
     def epoch(self) -> int:
         """Epoch of the next step, from 0."""
-        return int(self.steps_done) // self.schedule.epoch
+        return int(self.steps_done) // self.schedule.steps_per_epoch
 
     def gaussians(self, drive: Drive) -> Discs:
-        """The points posed by `drive`, in world space, with the colours that they show the camera."""
+        """The points posed by `drive`, in world space, with their shaded colors."""
         drive = self._corrected(drive)
-        canonical, pose = self._canonical(), self.driver.pose(drive)
+        canonical, pose = self._canonical(), self.driver.posed_skeleton(drive)
         if torch.is_grad_enabled():
             parameters = [*self.deformer.parameters(), *self.shading.parameters()]
             points, colors = rowwise(self._pose_rows, (self.cloud.points, *canonical.surface[1:]), pose, parameters)
         else:
             points, colors = self._posed(self.cloud.points, canonical, pose)
-        means, radius = points / UNIT + drive.translation, float(self.cloud.radius)
+        means, radius = points / UNITS_PER_METER + drive.translation, float(self.cloud.radius)
         one = torch.ones_like(means)
         quats = torch.cat((one[:, :1], torch.zeros_like(one)), dim=1)
-        return Discs(means, quats, similar_scale(radius, self.metres) * one, one[:, 0], colors, radius=radius)
+        return Discs(means, quats, similar_scale(radius, self.meters) * one, one[:, 0], colors, radius=radius)
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
-        """Image, coverage and VGG; the surface's two terms; the head model's three."""
+        """Image, coverage and VGG terms, two surface terms and three head-model terms."""
         config = self.config
         terms = {"l1": l1(rendering.image, frame.image), "mask": config.mask_weight * l1(rendering.alpha, frame.alpha)}
         if config.perceptual_weight:
@@ -242,84 +242,84 @@ class PointAvatar(nn.Module):
         return terms | {name: weight * value for name, value in targets.items()}
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
-        """Adam on the points, Adam on the networks, and the one of the corrections."""
+        """Adam for the points, Adam for the networks, and the optimizer of the corrections."""
         further = [self.corrections_optimizer] if self.corrections_optimizer else []
         return [self.cloud.rows.optimizer, self.optimizer, *further]
 
     @torch.no_grad()
     def after_backward(self, rendering: Rendering, step: int) -> None:
-        """Prune and double the points; the rate of the next step."""
+        """Prune and double the points, then set the rate of the next step."""
         assert isinstance(rendering, DiscRendering)
         self.cloud.advance(step, rendering.shown, self.schedule, seeded(self.scene.seed, 6, step))
         rate = log_linear(step, self.config.rate, self.config.rate * self.config.rate_left, self.scene.steps)
         for optimizer in (self.cloud.rows.optimizer, self.optimizer):
             for group in optimizer.param_groups:
                 group["lr"] = rate
-        self._looked_at = None
+        self._surface_at_points = None
         self.steps_done.fill_(step)
 
     def train(self, mode: bool = True) -> PointAvatar:
-        """Switch between training and evaluation, which keeps what no drive changes; fit before step 1."""
-        self._kept = None
+        """Switch between training and evaluation, which caches drive-independent properties; fit before step 1."""
+        self._cached = None
         if mode and self.config.fitting_steps and not int(self.steps_done):
-            self._fit()
+            self._fit_to_head()
         return super().train(mode)
 
     def notes(self) -> dict[str, str]:
-        """What a reader of the results must know: features of the perceptual loss, and the radius of the discs."""
+        """Notes for provenance.json: the features of the perceptual loss, and the radius of the discs."""
         return self.perceptual.notes() | {"disc_radius": f"{float(self.cloud.radius):.5f} of half the shorter side"}
 
-    def _start(self) -> Tensor | None:
-        """The first points, if they are not to lie on a sphere."""
+    def _initial_points(self) -> Tensor | None:
+        """Initial points on the head model; None for a sphere."""
         if self.config.begin == "sphere":
             return None
-        return HeadSurface.of(self.head, self.canonical, UNIT, self.config.points, self._random(1)).points
+        return HeadSurface.of(self.head, self.canonical, UNITS_PER_METER, self.config.points, self._generator(1)).points
 
-    def _fit(self) -> None:
-        """Let the networks learn the head model."""
-        random = self._random(8)
-        surface = HeadSurface.of(self.head, self.canonical, UNIT, FITTING_POINTS, random)
+    def _fit_to_head(self) -> None:
+        """Fit the networks to the head model."""
+        random = self._generator(8)
+        surface = HeadSurface.of(self.head, self.canonical, UNITS_PER_METER, FITTING_POINTS, random)
         fit_to_head((self.surface, self.deformer), surface, self.targets, self.config.fitting_steps, random)
 
     def _features(self, points: Tensor) -> Features:
-        """What moves points, with or without derivatives."""
+        """Features of the deformation, with or without derivatives."""
         if self.config.normals == "joints":
-            return self.deformer.features_alone(points)
+            return self.deformer.features_without_tangents(points)
         return self.deformer.features(points)
 
     def _canonical(self) -> Canonical:
-        """The surface at all points and, for as long as nothing learns, the features of their motion."""
+        """The surface at all points and, without gradients, the features of their deformation."""
         points = self.cloud.points
         if torch.is_grad_enabled():
-            self._looked_at = self.surface(points)
-            return Canonical(self._looked_at, None)
-        if self._kept is None or self.training:
-            self._kept = Canonical(self.surface(points), self._features(points))
-        return self._kept
+            self._surface_at_points = self.surface(points)
+            return Canonical(self._surface_at_points, None)
+        if self._cached is None or self.training:
+            self._cached = Canonical(self.surface(points), self._features(points))
+        return self._cached
 
     def _pose_rows(self, rows: Sequence[Tensor], shared: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Posed points and their colours, from points, gradients of the distance and albedo."""
+        """Posed points and their colors, from rows of points, distance gradients and albedo."""
         points, gradient, albedo = rows
         canonical = Canonical(Surface(albedo[:, 0], gradient, albedo), self._features(points))
-        return self._posed(points, canonical, Pose(*shared))
+        return self._posed(points, canonical, PosedSkeleton(*shared))
 
-    def _posed(self, points: Tensor, canonical: Canonical, pose: Pose) -> tuple[Tensor, Tensor]:
-        """Posed points, quarter metres, and their colours."""
+    def _posed(self, points: Tensor, canonical: Canonical, pose: PosedSkeleton) -> tuple[Tensor, Tensor]:
+        """Posed points, quarter meters, and their colors."""
         assert canonical.features is not None
-        motion = self.deformer.motion(canonical.features, pose.correctives)
-        deformed = deform(points, motion, pose.canonical, pose.posed)
+        deformation = self.deformer.deformation(canonical.features, pose.correctives)
+        deformed = deform(points, deformation, pose.canonical, pose.posed)
         normals = deformed_normals(deformed.tangents, normalize(canonical.surface.gradient, dim=-1))
         return deformed.points, shaded(self.shading(normals @ pose.head_to_camera.T), canonical.surface.albedo)
 
     def _surface_terms(self, some: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-        """Points lie on the surface, and its gradient has length 1 at them and around them."""
-        assert self._looked_at is not None, "losses() follows gaussians() of the same step"
+        """Loss: points lie on the surface, whose gradient has length 1 at and around them."""
+        assert self._surface_at_points is not None, "call gaussians() before losses() in every step"
         points = self.cloud.points[some].detach()
         noise = torch.rand(points.shape, generator=generator).to(points) - 0.5
         around = self.surface(points + 2 * self.config.neighbours * noise).gradient
-        lengths = torch.cat((self._looked_at.gradient[some], around)).norm(dim=1)
+        lengths = torch.cat((self._surface_at_points.gradient[some], around)).norm(dim=1)
         return {
-            "distance": self.config.distance_weight * self._looked_at.distance[some].square().mean(),
+            "distance": self.config.distance_weight * self._surface_at_points.distance[some].square().mean(),
             "eikonal": self.config.eikonal_weight * mse_loss(lengths, torch.ones_like(lengths)),
         }
 
@@ -329,34 +329,34 @@ class PointAvatar(nn.Module):
         return self.perceptual(_resized(rendering.image), _resized(frame.image), step)
 
     def _corrected(self, drive: Drive) -> Drive:
-        """With the corrections of a training frame, which learn once their time has come."""
+        """The drive with the corrections of its training frame, which are trained after `tracking_epochs`."""
         if self.corrections is None:
             return drive
         with torch.set_grad_enabled(torch.is_grad_enabled() and self.epoch > self.config.tracking_epochs):
             return self.corrections(drive)
 
-    def _random(self, stream: int) -> torch.Generator:
+    def _generator(self, stream: int) -> torch.Generator:
         return seeded(self.scene.seed, 7, stream)
 
 
 def cloud_schedule(config: Config, scene: Scene) -> CloudSchedule:
-    """The authors' epochs in steps; prunings wait until they have seen enough frames."""
+    """The authors' schedule in steps, with at least `pruning_frames` between prunings."""
     epoch = max(scene.steps // config.epochs, 1)
     pruning = epoch * max(-(-config.pruning_frames // epoch), 1)
-    most = min(config.max_points, scene.max_gaussians)
-    return CloudSchedule(epoch, config.upsampling_epochs, pruning, most, config.pruning_radius)
+    max_points = min(config.max_points, scene.max_gaussians)
+    return CloudSchedule(epoch, config.upsampling_epochs, pruning, max_points, config.pruning_radius)
 
 
 def corrections(config: Config, scene: Scene) -> DriveCorrections | None:
-    """Corrections of the training frames' expression, joints and translation, if there are to be any."""
+    """Corrections of expression, joints and translation of the training frames, or None."""
     if not config.tracking_rate or not any(drive.frame is not None for drive in scene.drives):
         return None
     rate = config.tracking_rate
-    return DriveCorrections(scene.drives, CorrectionRates(rate, rate, rate / UNIT))
+    return DriveCorrections(scene.drives, CorrectionRates(rate, rate, rate / UNITS_PER_METER))
 
 
 def sparse_adam(config: Config, module: DriveCorrections | None) -> torch.optim.Optimizer | None:
-    """The authors' SparseAdam: a frame's corrections and moments change when it is seen, and do not coast."""
+    """The authors' SparseAdam: corrections and moments of a frame change only in steps that use the frame."""
     if module is None:
         return None
     for parameter in module.parameters():
@@ -370,8 +370,8 @@ def _make_sparse(parameter: Tensor) -> None:
         parameter.grad = parameter.grad.to_sparse(1)
 
 
-def metres_per_device_unit(scene: Scene) -> float:
-    """Length at the head's origin of half the shorter side of the image, m, over the training cameras."""
+def meters_per_device_unit(scene: Scene) -> float:
+    """Half the shorter image side, projected to the head's origin, m; mean over the training cameras."""
     lengths = [
         float(camera.world_to_camera[2, 3] * min(camera.width, camera.height) / 2 / camera.intrinsics[0, 0])
         for camera in scene.cameras
@@ -380,6 +380,6 @@ def metres_per_device_unit(scene: Scene) -> float:
 
 
 def _resized(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "P P 3"]:
-    """To the size that VGG was trained on."""
+    """The image resized to `PERCEPTUAL_SIZE`."""
     size = (PERCEPTUAL_SIZE, PERCEPTUAL_SIZE)
     return interpolate(image.permute(2, 0, 1)[None], size, mode="bilinear", align_corners=False)[0].permute(1, 2, 0)

@@ -1,1 +1,1 @@
-"""Fields over space, perceptrons and the Geometry Morph Adjuster."""
+"""Feature fields over space, multilayer perceptrons and the Geometry Morph Adjuster."""

@@ -1,8 +1,8 @@
-"""A deep network over many rows that share one condition, at no more than its matrix products cost.
+"""A multilayer perceptron over many rows that share one condition vector.
 
-The condition's part of the first layer is one vector for all rows, and rows without an upstream gradient (Gaussians
-that the image does not show) are left out of the backward pass. Both are exact. Hidden layers may be of bfloat16; what
-learns and the outputs are of float32.
+The condition's part of the first layer is computed once for all rows, and rows without an upstream gradient (Gaussians
+that are not visible) are skipped in the backward pass; both are exact. Hidden layers can be bfloat16; parameters and
+outputs are float32.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ggavatar.jit.bfloat16 import padded_indices
-from ggavatar.networks.morph_adjuster import linear
+from ggavatar.networks.linear import seeded_linear
 
 GROUP = 1024
-"""Rows of the backward pass come in multiples of this."""
+"""The backward pass processes a multiple of this number of rows."""
 
 
 class ConditionedPerceptron(nn.Module):
-    """A fully connected network with rectifiers, linear at its end, torch's default start.
+    """A fully connected network with ReLU, a linear output and torch's default initialization.
 
-    Its first layer sees a row's features and then the condition.
+    The input of its first layer is a row's features followed by the condition.
 
     Args:
-        features: Numbers a row.
-        conditions: Length of the condition.
+        features: Features per row.
+        conditions: Length of the condition vector.
         hidden: Width of the hidden layers.
-        depth: How many hidden layers there are.
-        outputs: Numbers a row at the end.
+        depth: Number of hidden layers.
+        outputs: Outputs per row.
         generator: Draws the initial weights.
-        hidden_type: Of the hidden layers' products; the parameters' own if not given.
+        hidden_type: Data type of the hidden layers; None is that of the parameters.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class ConditionedPerceptron(nn.Module):
         super().__init__()
         self.features, self.hidden_type = features, hidden_type
         widths = (features + conditions, *[hidden] * depth, outputs)
-        self.layers = nn.ModuleList(linear(before, after, generator) for before, after in pairwise(widths))
+        self.layers = nn.ModuleList(seeded_linear(before, after, generator) for before, after in pairwise(widths))
 
     def forward(self, features: Float[Tensor, "N D"], condition: Float[Tensor, " C"]) -> Float[Tensor, "N R"]:
         """Outputs of all rows under one condition; no gradient flows into `features`."""
@@ -61,7 +61,7 @@ class ConditionedPerceptron(nn.Module):
 
 
 class _Rows(torch.autograd.Function):
-    """The layers over all rows; weight and bias alternate in `parameters`, the first layer's come first."""
+    """The layers over all rows; `parameters` holds weight and bias of each layer in turn."""
 
     @staticmethod
     def forward(ctx: Any, hidden_type: torch.dtype, features: Tensor, *parameters: Tensor) -> Tensor:

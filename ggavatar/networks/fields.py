@@ -1,7 +1,7 @@
 """Features of canonical positions: a multi-resolution hash tri-plane (GGAvatar H³) and Fourier features.
 
-Positions are lookup keys: no gradient flows into them (docs/paper.md, A11). The paper treats them so, bilinear hash
-gradients are discontinuous, and they would fight the rate of the local positions.
+No gradient flows into positions (docs/paper.md, A11): they are lookup keys in the paper, the gradients of bilinear hash
+features are discontinuous, and they would interfere with the learning rate of the local positions.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PRIME = 2654435761
 
 @runtime_checkable
 class Field(Protocol):
-    """Anything that turns positions in metres into features."""
+    """A function from positions to feature vectors."""
 
     width: int
     """Number of features."""
@@ -42,33 +42,33 @@ class Field(Protocol):
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned cube that positions are normalised by; points outside are clamped to its surface."""
+    """An axis-aligned cube in which positions are normalized; points outside are clamped to its surface."""
 
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Centre, m."""
+    """Center, m."""
     side: float = 0.4
     """Length of an edge, m."""
 
     @staticmethod
     def around(points: Float[Tensor, "V 3"], margin: float = 1.4) -> Box:
-        """The cube at the centre of the points' bounds, its side `margin` times their longest (docs/paper.md, A10)."""
+        """The cube about the center of the bounding box, `margin` times its longest side (docs/paper.md, A10)."""
         low, high = points.detach().amin(0), points.detach().amax(0)
         center = ((low + high) / 2).tolist()
         return Box((center[0], center[1], center[2]), margin * float((high - low).max()))
 
-    def normalise(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        """Positions in [0, 1] within the box."""
+    def normalize(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        """Positions in the box as coordinates in [0, 1]."""
         return ((x - x.new_tensor(self.center)) / self.side + 0.5).clamp(0, 1)
 
 
 @dataclass(frozen=True)
 class HashTriplaneConfig:
-    """Size of a hash tri-plane; the defaults are docs/paper.md, A9 (72 features, 1.06 million parameters)."""
+    """Size of a hash tri-plane; for the defaults see docs/paper.md, A9 (72 features, 1.06 million parameters)."""
 
     levels: int = 12
-    """Resolutions, in geometric progression."""
+    """Number of resolutions, in geometric progression."""
     features: int = 2
-    """Features of a table entry."""
+    """Features per table entry."""
     base: int = 16
     """Cells along a side at the coarsest level."""
     finest: int = 512
@@ -82,22 +82,22 @@ class Level:
     """One resolution of a plane."""
 
     scale: float
-    """Cells along the unit side, less one."""
+    """Cells along a side, minus one."""
     side: int
     """Grid vertices along a side."""
     size: int
-    """Entries of the table."""
+    """Entries in the table."""
     offset: int
-    """First entry within the plane's part of the tables."""
+    """Index of the first entry within the plane's part of the tables."""
 
     @property
     def hashed(self) -> bool:
-        """Whether the table is smaller than the grid."""
+        """Whether the table has fewer entries than the grid has vertices."""
         return self.side**2 > self.size
 
 
 def levels_of(config: HashTriplaneConfig) -> tuple[Level, ...]:
-    """The levels of one plane, laid out as in tiny-cuda-nn: ⌈base·bⁱ⌉ + 1 vertices a side, sizes rounded up to 8."""
+    """The levels of one plane as in tiny-cuda-nn: ⌈base·bⁱ⌉ + 1 vertices a side, sizes rounded up to multiples of 8."""
     growth = (config.finest / config.base) ** (1 / max(config.levels - 1, 1))
     found: list[Level] = []
     offset = 0
@@ -111,11 +111,11 @@ def levels_of(config: HashTriplaneConfig) -> tuple[Level, ...]:
 
 
 class HashTriplane(nn.Module):
-    """Multi-resolution hash tables on the planes xy, xz and yz, their bilinear features concatenated (as in ER-NeRF).
+    """Multi-resolution hash tables on the planes xy, xz and yz with concatenated bilinear features, as in ER-NeRF.
 
     Args:
         config: Resolutions and table sizes.
-        box: The cube that positions are normalised by.
+        box: The cube in which positions are normalized.
         generator: Draws the initial entries, uniform in ±1e-4.
 
     References:
@@ -134,10 +134,10 @@ class HashTriplane(nn.Module):
         """Features at `x` (m), plane by plane, level by level; differentiable in the tables only."""
         if self.compiled_at(x):
             return cast(Tensor, _CompiledLookup.apply(kernel_points(self.box, x), self.tables, self.levels))
-        return lookup_in_torch(self.box.normalise(x.detach()), self.tables, self.levels)
+        return lookup_in_torch(self.box.normalize(x.detach()), self.tables, self.levels)
 
     def compiled_at(self, x: Float[Tensor, "N 3"]) -> bool:
-        """Whether the compiled kernels take these positions."""
+        """Whether the compiled kernels support these positions and this configuration."""
         return self.config.features == 2 and compiled_for(x, self.tables)
 
 
@@ -184,16 +184,16 @@ class _CompiledLookup(torch.autograd.Function):
         from ggavatar.networks import triplane_kernel
 
         gradient = torch.zeros(ctx.shape)
-        triplane_kernel.spread(ctx.points, upstream.contiguous().numpy(), ctx.layout, gradient.numpy())
+        triplane_kernel.backward(ctx.points, upstream.contiguous().numpy(), ctx.layout, gradient.numpy())
         return None, gradient, None
 
 
 def kernel_points(box: Box, x: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:
-    """`box.normalise(x)` as the kernels want it; a position that is not a number must not become an index."""
+    """`box.normalize(x)` for the kernels; NaN becomes 0, so that it is a valid index."""
     from ggavatar.networks import triplane_kernel
 
     points = np.empty((3, len(x)), np.float32)
-    triplane_kernel.normalise(
+    triplane_kernel.normalize(
         x.detach().contiguous().numpy(), np.array(box.center, np.float32), np.float32(box.side), points
     )
     return points
@@ -201,7 +201,7 @@ def kernel_points(box: Box, x: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:
 
 @functools.cache
 def kernel_layout(levels: tuple[Level, ...]) -> triplane_kernel.Layout:
-    """The levels of all three planes as the kernels want them."""
+    """The levels of all three planes, for the kernels."""
     from ggavatar.networks import triplane_kernel
 
     entries = sum(level.size for level in levels)
@@ -216,7 +216,7 @@ def kernel_layout(levels: tuple[Level, ...]) -> triplane_kernel.Layout:
 
 
 class FourierFeatures(nn.Module):
-    """Sines and cosines of 2ᵏπx beside x itself, x in [−1, 1] within the box (the ablation without the tri-plane).
+    """x and sin, cos of 2ᵏπx with x in [−1, 1] within the box (for the ablation without the tri-plane).
 
     References:
         Mildenhall et al. 2020, Eq. 4 (with the factor π); docs/paper.md, ablations.
@@ -228,8 +228,8 @@ class FourierFeatures(nn.Module):
         self.width = 3 + 6 * octaves
 
     def forward(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N D"]:
-        """Features at `x` (m): x, then sine and cosine of every octave; no gradient."""
-        signed = 2 * self.box.normalise(x.detach()) - 1
+        """Features at `x` (m): x, then sine and cosine of every octave, without gradient."""
+        signed = 2 * self.box.normalize(x.detach()) - 1
         frequencies = math.pi * 2.0 ** torch.arange(self.octaves, device=x.device, dtype=x.dtype)
         angles = signed[:, None, :] * frequencies[:, None]
         return torch.cat((signed, torch.cat((angles.sin(), angles.cos()), dim=-1).flatten(1)), dim=-1)

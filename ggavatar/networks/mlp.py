@@ -1,4 +1,4 @@
-"""A network of two rectified layers and a linear end over many rows, alone or at the end of a hash tri-plane."""
+"""A perceptron with two hidden ReLU layers over many rows, alone or on the features of a hash tri-plane."""
 
 from __future__ import annotations
 
@@ -19,23 +19,25 @@ Layer = tuple[Tensor, Tensor]
 
 
 def perceptron(features: Float[Tensor, "N D"], first: Layer, second: Layer, last: Layer) -> Float[Tensor, "N R"]:
-    """Last · relu(second · relu(first · features)); differentiable in everything."""
+    """Last · relu(second · relu(first · features)), differentiable in all arguments."""
     if compiled_for(features, *first, *second, *last):
         return cast(Tensor, _Perceptron.apply(features, *first, *second, *last))
-    return in_torch(features, first, second, last)
+    return perceptron_in_torch(features, first, second, last)
 
 
 def field_perceptron(
     field: Field, x: Float[Tensor, "N 3"], first: Layer, second: Layer, last: Layer
 ) -> Float[Tensor, "N R"]:
-    """`perceptron` of a field's features at `x` (m); rows without gradient cost nothing on the way back."""
+    """`perceptron` of a field's features at `x` (m); the backward pass skips rows without gradient."""
     if isinstance(field, HashTriplane) and field.compiled_at(x) and compiled_for(*first, *second, *last):
         points = kernel_points(field.box, x)
         return cast(Tensor, _FieldPerceptron.apply(points, field.tables, field.levels, *first, *second, *last))
     return perceptron(field(x), first, second, last)
 
 
-def in_torch(features: Float[Tensor, "N D"], first: Layer, second: Layer, last: Layer) -> Float[Tensor, "N R"]:
+def perceptron_in_torch(
+    features: Float[Tensor, "N D"], first: Layer, second: Layer, last: Layer
+) -> Float[Tensor, "N R"]:
     """`perceptron` in plain torch: any dtype and device."""
     return linear(relu(linear(relu(linear(features, *first)), *second)), *last)
 
@@ -56,7 +58,7 @@ class _Perceptron(torch.autograd.Function):
 
 
 class _FieldPerceptron(torch.autograd.Function):
-    """The same behind `ggavatar.networks.triplane_kernel`; both leave out the rows without gradient on the way back."""
+    """Lookup (`triplane_kernel`) and perceptron (`mlp_kernel`); backward skips rows without gradient in both."""
 
     @staticmethod
     def forward(ctx: Any, points: Any, tables: Tensor, levels: tuple[Any, ...], *parameters: Tensor) -> Tensor:
@@ -73,7 +75,7 @@ class _FieldPerceptron(torch.autograd.Function):
 
         rows, to_features, to_parameters = _backward(ctx, upstream)
         to_tables = torch.zeros(ctx.shape)
-        triplane_kernel.spread(np.take(ctx.points, rows, axis=1), to_features, ctx.layout, to_tables.numpy())
+        triplane_kernel.backward(np.take(ctx.points, rows, axis=1), to_features, ctx.layout, to_tables.numpy())
         return None, to_tables, None, *to_parameters
 
 
@@ -91,7 +93,7 @@ def _forward(ctx: Any, features: Tensor, parameters: tuple[Tensor, ...]) -> Tens
 
 
 def _backward(ctx: Any, upstream: Tensor) -> tuple[Int64[ndarray, " A"], Float32[ndarray, "A D"], list[Tensor]]:
-    """Rows with a gradient, the gradient of their features, and that of every weight and bias."""
+    """Indices of the rows with a gradient, gradients by their features, and by every weight and bias."""
     from ggavatar.networks import mlp_kernel as kernels
 
     matrices = tuple(_flat(matrix) for matrix in (*ctx.saved_tensors, upstream.contiguous()))

@@ -1,8 +1,8 @@
-"""A network of two rectified layers and a linear end, and its gradient, block by block (twin: `perceptron.in_torch`).
+"""A perceptron with two hidden ReLU layers, and its gradient, block by block (compiled).
 
-A block of rows goes through all layers within the cache. Rows without an upstream gradient are left out of the backward
-pass, which is exact. Gradients of the weights are summed within fixed chunks of rows and then over the chunks in order:
-the same bits for any number of threads.
+The torch twin is `mlp.perceptron_in_torch`. A block of rows passes through all layers within the cache. The backward
+pass skips rows without an upstream gradient, which is exact. Gradients by the weights are summed within fixed chunks of
+rows and then over the chunks in order, so that results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ from ggavatar.jit.simd import LANES, maximum, select, splat
 from ggavatar.jit.threads import run
 
 BLOCK = 64
-"""Rows that go through all layers together."""
+"""Rows that pass through all layers together."""
 CHUNK = 32 * BLOCK
-"""Rows of a task."""
+"""Rows per task."""
 
 Floats = Float32[ndarray, "..."]
 
 
 class Layer(NamedTuple):
-    """One layer, flat, its widths padded with zeros to whole vectors.
+    """A layer as flat arrays, padded with zeros to whole SIMD vectors.
 
     Attributes:
-        inputs: Columns without padding.
-        outputs: Rows without padding.
-        weight: Row-major, padded inputs as columns; for the way back.
-        turned: The transposed, padded outputs as columns; for the way forth.
-        bias: One number an output.
+        inputs: Number of inputs without padding.
+        outputs: Number of outputs without padding.
+        weight: The weight, row-major [outputs, inputs], padded; for the backward pass.
+        transposed: The transposed weight [inputs, outputs], padded; for the forward pass.
+        bias: The bias, padded.
     """
 
     inputs: int
     outputs: int
     weight: Floats
-    turned: Floats
+    transposed: Floats
     bias: Floats
 
 
 @kernel
-def _apply(x, layer, out):
-    """A block through a linear layer."""
+def _linear(x, layer, out):
+    """Apply a linear layer to a block."""
     columns = layer.bias.size
     for row in range(BLOCK):
         for column in range(0, columns, LANES):
             store(out, row * columns + column, load(layer.bias, column))
-    add_product(x, x.size // BLOCK, 1, BLOCK, layer.inputs, layer.turned, columns, out)
+    add_product(x, x.size // BLOCK, 1, BLOCK, layer.inputs, layer.transposed, columns, out)
 
 
 @kernel
@@ -69,7 +69,7 @@ def _clear(block):
 
 @kernel
 def _copy(source, first, width, target, at):
-    """`width` numbers from `first` on to `at`."""
+    """Copy `width` numbers from `source[first]` to `target[at]`."""
     whole = width // LANES * LANES
     for column in range(0, whole, LANES):
         store(target, at + column, load(source, first + column))
@@ -78,8 +78,8 @@ def _copy(source, first, width, target, at):
 
 
 @kernel
-def _take(matrix, rows, count, width, block):
-    """Rows of a matrix into a block; the padding and the slots that are left over become zero."""
+def _gather_rows(matrix, rows, count, width, block):
+    """Copy rows of a matrix into a block; padding and unused slots become zero."""
     columns = block.size // BLOCK
     _clear(block)
     for slot in range(count):
@@ -87,22 +87,22 @@ def _take(matrix, rows, count, width, block):
 
 
 @kernel
-def _put(block, rows, count, width, matrix):
-    """Rows of a block into a matrix, without padding."""
+def _scatter_rows(block, rows, count, width, matrix):
+    """Copy rows of a block, without padding, into rows of a matrix."""
     columns = block.size // BLOCK
     for slot in range(count):
         _copy(block, slot * columns, width, matrix, rows[slot] * width)
 
 
 @kernel
-def _keep(block, first, count, width, matrix):
-    """Rows of a block into consecutive rows of a matrix that nobody reads soon, past the caches if they fill lines."""
+def _stream_rows(block, first, count, width, matrix):
+    """Copy rows of a block into consecutive rows of a matrix, bypassing the caches if rows fill whole lines."""
     columns = block.size // BLOCK
     if width == columns:
         for at in range(0, count * width, LANES):
             stream(matrix, first * width + at, load(block, at))
     else:
-        _put(block, np.arange(first, first + count), count, width, matrix)
+        _scatter_rows(block, np.arange(first, first + count), count, width, matrix)
 
 
 @inlined
@@ -112,27 +112,27 @@ def _block(layer):
 
 @kernel
 def forward_range(features, layers, first, last, kept, result):
-    """Rows `first` … `last` − 1 of the result; the two hidden layers are kept if there is room for them."""
+    """Write rows `first` … `last` − 1 of the result, and of both hidden layers if `kept` has room for them."""
     one, two, end = layers
     x = np.empty(BLOCK * (one.weight.size // one.bias.size), np.float32)
     hidden_1, hidden_2, out = _block(one), _block(two), _block(end)
     for begin in range(first, last, BLOCK):
         count = min(BLOCK, last - begin)
         rows = np.arange(begin, begin + count)
-        _take(features, rows, count, one.inputs, x)
-        _apply(x, one, hidden_1)
+        _gather_rows(features, rows, count, one.inputs, x)
+        _linear(x, one, hidden_1)
         _rectify(hidden_1)
-        _apply(hidden_1, two, hidden_2)
+        _linear(hidden_1, two, hidden_2)
         _rectify(hidden_2)
-        _apply(hidden_2, end, out)
+        _linear(hidden_2, end, out)
         if kept[0].size:
-            _keep(hidden_1, begin, count, one.outputs, kept[0])
-            _keep(hidden_2, begin, count, two.outputs, kept[1])
-        _put(out, rows, count, end.outputs, result)
+            _stream_rows(hidden_1, begin, count, one.outputs, kept[0])
+            _stream_rows(hidden_2, begin, count, two.outputs, kept[1])
+        _scatter_rows(out, rows, count, end.outputs, result)
 
 
 class Sums(NamedTuple):
-    """Gradients of one chunk: of the padded weights (as `Layer.weight`) and biases of the three layers."""
+    """Gradients of one chunk by the padded weights (as `Layer.weight`) and biases of the three layers."""
 
     weight_1: Floats
     bias_1: Floats
@@ -143,8 +143,8 @@ class Sums(NamedTuple):
 
 
 @kernel
-def _back(gradient, layer, inputs, weight_sum, bias_sum, out):
-    """A block's gradient through a linear layer: to its weights, its bias and its inputs."""
+def _linear_backward(gradient, layer, inputs, weight_sum, bias_sum, out):
+    """Gradients of a linear layer: add those by weight and bias, write those by the inputs to `out`."""
     columns = layer.bias.size
     for column in range(0, columns, LANES):
         value = load(bias_sum, column)
@@ -158,8 +158,8 @@ def _back(gradient, layer, inputs, weight_sum, bias_sum, out):
 
 
 @kernel
-def _close(gradient, activations):
-    """No gradient where the rectifier was closed."""
+def _rectifier_backward(gradient, activations):
+    """Zero the gradient where the ReLU was inactive."""
     zero = splat(np.float32(0))
     for at in range(0, gradient.size, LANES):
         store(gradient, at, select(load(activations, at) > zero, load(gradient, at), zero))
@@ -167,9 +167,9 @@ def _close(gradient, activations):
 
 @kernel
 def backward_range(matrices, layers, active, sums, to_features):
-    """Gradients of one chunk: `active` rows of `matrices` (features, two hidden layers, upstream) into `sums`.
+    """Add the gradients of one chunk to `sums`: the `active` rows of features, two hidden layers and upstream.
 
-    The gradients of these rows' features are written one after the other to `to_features`.
+    The gradients by these rows' features are written one after the other to `to_features`.
     """
     one, two, end = layers
     features, kept_1, kept_2, upstream = matrices
@@ -179,21 +179,21 @@ def backward_range(matrices, layers, active, sums, to_features):
     for begin in range(0, active.size, BLOCK):
         rows = active[begin : begin + BLOCK]
         count = rows.size
-        _take(upstream, rows, count, end.outputs, out)
-        _take(kept_2, rows, count, two.outputs, hidden_2)
-        _take(kept_1, rows, count, one.outputs, hidden_1)
-        _take(features, rows, count, one.inputs, x)
-        _back(out, end, hidden_2, sums.weight_3, sums.bias_3, to_2)
-        _close(to_2, hidden_2)
-        _back(to_2, two, hidden_1, sums.weight_2, sums.bias_2, to_1)
-        _close(to_1, hidden_1)
-        _back(to_1, one, x, sums.weight_1, sums.bias_1, to_x)
-        _put(to_x, np.arange(begin, begin + count), count, one.inputs, to_features)
+        _gather_rows(upstream, rows, count, end.outputs, out)
+        _gather_rows(kept_2, rows, count, two.outputs, hidden_2)
+        _gather_rows(kept_1, rows, count, one.outputs, hidden_1)
+        _gather_rows(features, rows, count, one.inputs, x)
+        _linear_backward(out, end, hidden_2, sums.weight_3, sums.bias_3, to_2)
+        _rectifier_backward(to_2, hidden_2)
+        _linear_backward(to_2, two, hidden_1, sums.weight_2, sums.bias_2, to_1)
+        _rectifier_backward(to_1, hidden_1)
+        _linear_backward(to_1, one, x, sums.weight_1, sums.bias_1, to_x)
+        _scatter_rows(to_x, np.arange(begin, begin + count), count, one.inputs, to_features)
 
 
 @kernel
 def rows_with_gradient(upstream, width):
-    """Numbers of the rows that are not all zero."""
+    """Indices of the rows that are not all zero."""
     found = np.empty(upstream.size // width, np.int64)
     count = 0
     for row in range(found.size):
@@ -209,9 +209,9 @@ Layers = tuple[Layer, Layer, Layer]
 
 
 def forward(features: Floats, layers: Layers, kept: tuple[Floats, Floats], result: Floats) -> None:
-    """Fill in the result of all rows, and both hidden layers if `kept` has room for them; all flat.
+    """Write the result of all rows, and both hidden layers if `kept` has room for them; all arrays are flat.
 
-    Memory in `kept` begins on a cache line, as torch's does.
+    Arrays in `kept` start on a cache line, as torch's do.
     """
     count = features.size // layers[0].inputs
     starts = range(0, count, CHUNK)
@@ -223,12 +223,12 @@ def forward(features: Floats, layers: Layers, kept: tuple[Floats, Floats], resul
 
 
 class Gradients(NamedTuple):
-    """What `backward` finds.
+    """The result of `backward`.
 
     Attributes:
-        rows: Numbers of the rows that have a gradient.
-        features: Gradient of these rows' features.
-        layers: Gradients of every layer's weight and bias.
+        rows: Indices of the rows that have a gradient.
+        features: Gradients by these rows' features.
+        layers: Gradients by every layer's weight and bias.
     """
 
     rows: Int64[ndarray, " A"]
@@ -237,7 +237,7 @@ class Gradients(NamedTuple):
 
 
 def backward(matrices: tuple[Floats, Floats, Floats, Floats], layers: Layers) -> Gradients:
-    """Gradients of everything, from the features, both hidden layers and the upstream gradient, all flat."""
+    """All gradients, from features, both hidden layers and the upstream gradient (`matrices`, flat)."""
     width = layers[0].inputs
     active = rows_with_gradient(matrices[3], layers[2].outputs)
     to_features = np.empty(len(active) * width, np.float32)
@@ -257,13 +257,13 @@ def backward(matrices: tuple[Floats, Floats, Floats, Floats], layers: Layers) ->
 
 
 def _bounds(layers: Layers) -> list[slice]:
-    """Where the padded weights and biases of all layers lie when they follow one another."""
+    """Slices of the padded weights and biases of all layers in one concatenated array."""
     ends = np.cumsum([part.size for layer in layers for part in (layer.weight, layer.bias)]).tolist()
     return [slice(first, last) for first, last in zip([0, *ends], ends, strict=False)]
 
 
 def _unpadded(total: Sums, layers: Layers) -> list[tuple[Floats, Floats]]:
-    """The gradient of every layer's weight and bias, without padding."""
+    """Gradients by every layer's weight and bias, without padding."""
     found = []
     for number, layer in enumerate(layers):
         weight = total[2 * number].reshape(layer.bias.size, -1)
@@ -272,16 +272,16 @@ def _unpadded(total: Sums, layers: Layers) -> list[tuple[Floats, Floats]]:
 
 
 def pack(weight: Floats, bias: Floats) -> Layer:
-    """A layer with its widths padded."""
+    """A padded layer from weight [outputs, inputs] and bias."""
     outputs, inputs = weight.shape
     padded = np.zeros((_whole(outputs), _whole(inputs)), np.float32)
     padded[:outputs, :inputs] = weight
     padded_bias = np.zeros(_whole(outputs), np.float32)
     padded_bias[:outputs] = bias
-    turned = np.ascontiguousarray(padded[:, :inputs].T)
-    return Layer(inputs, outputs, padded.ravel(), turned.ravel(), padded_bias)
+    transposed = np.ascontiguousarray(padded[:, :inputs].T)
+    return Layer(inputs, outputs, padded.ravel(), transposed.ravel(), padded_bias)
 
 
 def _whole(width: int) -> int:
-    """The next multiple of the vector's lanes."""
+    """The next multiple of the number of SIMD lanes."""
     return -(-width // LANES) * LANES

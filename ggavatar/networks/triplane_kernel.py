@@ -1,7 +1,7 @@
-"""Look-up in a hash tri-plane and its gradient (compiled; twin: `fields.lookup_in_torch`).
+"""Lookup in a hash tri-plane and its gradient (compiled; torch twin: `fields.lookup_in_torch`).
 
-Features are read point by point, one table at a time, so that a table stays in the cache. The gradient is summed per
-table by one thread in the order of the points: no atomics, and the same bits for any number of threads.
+Features are read point by point, one table at a time, so that a table stays in the cache. One thread sums the gradient
+of a table in the order of the points: no atomics, and results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from ggavatar.jit.threads import run
 
 PRIME = np.uint32(2654435761)
 CHUNK = 4096
-"""Points of a forward task."""
+"""Points per forward task."""
 BLOCK = 512
-"""Points that go through one table before the next table's turn; their features stay in the second-level cache."""
+"""Points read from one table before the next one; their features stay in the second-level cache."""
 GROUP = 2
-"""Tables of a backward task."""
+"""Tables per backward task."""
 FEATURES = 2
-"""Features of an entry; tables with other numbers take the torch twin."""
+"""Features per entry; other numbers use the torch twin."""
 
 Floats = Float32[ndarray, "..."]
 
 
 class Layout(NamedTuple):
-    """What the kernels know of the tables: one element a table."""
+    """Geometry of the tables, one element per table."""
 
     axes: Int64[ndarray, "K 2"]
     scale: Floats
@@ -40,8 +40,8 @@ class Layout(NamedTuple):
 
 
 @kernel
-def normalise(x, center, side, points):
-    """Positions [N, 3] relative to a cube, in [0, 1], as rows of `points` [3, N]; what is not a number becomes 0."""
+def normalize(x, center, side, points):
+    """Write positions [N, 3] as coordinates in [0, 1] within a cube to `points` [3, N]; NaN becomes 0."""
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     for axis in range(3):
         middle = center[axis]
@@ -92,7 +92,7 @@ def _place(points, layout, table, begin, end, entries, weights):
 
 @kernel
 def look_up_range(points, tables, layout, first, last, features):
-    """Fill rows `first` … `last` − 1 of `features`; `points` [3, N] are in [0, 1]."""
+    """Write rows `first` … `last` − 1 of `features`; `points` [3, N] are in [0, 1]."""
     entries, weights = np.empty((4, BLOCK), np.int32), np.empty((4, BLOCK), np.float32)
     for begin in range(first, last, BLOCK):
         end = min(begin + BLOCK, last)
@@ -117,8 +117,8 @@ def _gather(tables, entries, weights, out, at, count):
 
 
 @kernel
-def spread_into_tables(points, upstream, layout, first, last, gradient):
-    """Add the gradient of the features of tables `first` … `last` − 1 to their entries."""
+def scatter_into_tables(points, upstream, layout, first, last, gradient):
+    """Add the gradients of the features of tables `first` … `last` − 1 to their entries."""
     entries, weights = np.empty((4, BLOCK), np.int32), np.empty((4, BLOCK), np.float32)
     count = points.shape[1]
     for begin in range(0, count, BLOCK):
@@ -136,7 +136,7 @@ def _scatter(gradient, entries, weights, upstream, at, count):
 
 
 def look_up(points: Floats, tables: Floats, layout: Layout, features: Floats) -> None:
-    """Fill in the features of all points."""
+    """Write the features of all points."""
     count = points.shape[1]
     starts = range(0, count, CHUNK)
 
@@ -146,12 +146,12 @@ def look_up(points: Floats, tables: Floats, layout: Layout, features: Floats) ->
     run(task, len(starts))
 
 
-def spread(points: Floats, upstream: Floats, layout: Layout, gradient: Floats) -> None:
-    """Add the gradient of all features to `gradient`, which begins as zeros."""
+def backward(points: Floats, upstream: Floats, layout: Layout, gradient: Floats) -> None:
+    """Add the gradients of all features to `gradient`, which starts as zeros."""
     count = len(layout.scale)
     starts = range(0, count, GROUP)
 
     def task(index: int) -> None:
-        spread_into_tables(points, upstream, layout, starts[index], min(starts[index] + GROUP, count), gradient)
+        scatter_into_tables(points, upstream, layout, starts[index], min(starts[index] + GROUP, count), gradient)
 
     run(task, len(starts))

@@ -1,1 +1,1 @@
-"""Canonical points: their surface, how they move, and how they are shaded (PointAvatar)."""
+"""Canonical points: surface, deformation and shading (PointAvatar)."""

@@ -1,4 +1,4 @@
-"""The canonical surface: one network gives signed distance, its gradient, and albedo (PointAvatar, Sec. 3.1)."""
+"""The canonical surface: a network of signed distance and albedo (PointAvatar, Sec. 3.1)."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from ggavatar.points.canonical_blockwise import evaluate_surface
 from ggavatar.points.canonical_reference import CanonicalConfig
-from ggavatar.points.layers import NormedLinear, affine, he_normal
+from ggavatar.points.layers import NormedLinear, he_normal, weight_and_bias
 
 ALBEDO_SHARPNESS = 10.0
 
 
 class Surface(NamedTuple):
-    """What the network says at points: signed distance, its gradient, and albedo in [0, 1]."""
+    """The network's outputs at points: signed distance, its gradient, and albedo in [0, 1]."""
 
     distance: Float[Tensor, " N"]
     gradient: Float[Tensor, "N 3"]
@@ -23,15 +24,15 @@ class Surface(NamedTuple):
 
 
 class CanonicalNetwork(nn.Module):
-    """Position → signed distance and albedo; starts as a sphere.
+    """Network from positions to signed distance and albedo, initialized as a sphere.
 
-    The gradient of the distance is found in the same sweep, backwards through the layers and in closed form, so that
-    losses on normals are differentiated once like any other.
+    The gradient of the distance is computed in closed form in the same pass, so that losses on normals need no second
+    derivatives from autograd.
 
     Args:
         config: Sizes.
         generator: Draws the initial weights.
-        hidden_type: Of the hidden layers on a CPU; the positions' own if not given.
+        hidden_type: Data type of the hidden layers on a CPU; None is that of the positions.
     """
 
     def __init__(
@@ -55,9 +56,7 @@ class CanonicalNetwork(nn.Module):
         self.layers = nn.ModuleList(layers)
 
     def forward(self, x: Float[Tensor, "N 3"]) -> Surface:
-        """The surface at points, which get no gradient."""
-        from ggavatar.points.canonical_sweep import sweep  # imported late: it needs this module
-
-        parameters = [tensor for layer in self.layers for tensor in affine(layer)]
-        values, gradient = sweep(x.detach(), self.config, parameters, self.hidden_type)
+        """The surface at points; no gradient flows into the points."""
+        parameters = [tensor for layer in self.layers for tensor in weight_and_bias(layer)]
+        values, gradient = evaluate_surface(x.detach(), self.config, parameters, self.hidden_type)
         return Surface(values[:, 0], gradient, torch.sigmoid(ALBEDO_SHARPNESS * values[:, 1:]))

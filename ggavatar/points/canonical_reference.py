@@ -1,4 +1,4 @@
-"""The canonical network in plain torch, and its settings."""
+"""The canonical network in plain torch, and its configuration."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ class CanonicalConfig:
     """Sizes of the canonical network."""
 
     width: int = 256
-    """Of the hidden layers."""
+    """Width of the hidden layers."""
     hidden: int = 9
-    """Hidden layers."""
+    """Number of hidden layers."""
     skip: int = 4
-    """Layer that sees the encoded position again; 0 is none."""
+    """Index of the hidden layer that receives the encoded position again; 0 is none."""
     octaves: int = 6
-    """Of the positional encoding."""
+    """Octaves of the positional encoding."""
     radius: float = 0.6
-    """Of the sphere that the network starts as, in its unit of length."""
+    """Radius of the initial sphere, in the unit of the points."""
 
 
-def sweep_in_torch(
+def evaluate_surface_in_torch(
     x: Float[Tensor, "N 3"], config: CanonicalConfig, parameters: list[Tensor]
 ) -> tuple[Float[Tensor, "N 4"], Float[Tensor, "N 3"]]:
-    """Distance and raw albedo, and the gradient of the distance, differentiable in the parameters.
+    """Distance and raw albedo [N, 4], and the gradient of the distance, differentiable in the parameters.
 
     Args:
-        x: Positions.
+        x: Positions, in the unit of the points.
         config: Sizes.
         parameters: Weight and bias of every layer, in order.
     """

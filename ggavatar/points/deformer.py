@@ -1,8 +1,8 @@
-"""How canonical points move: learned blendshapes and skinning weights with their derivatives by position.
+"""Deformation of canonical points: learned blendshapes and skinning weights, and their derivatives by position.
 
-The networks give, at any canonical point, an offset to where the head model has it, a basis for expressions and pose
-correctives, and weights of the joints (PointAvatar, Sec. 3.2). Normals need the Jacobian of the whole motion, so three
-tangents, one for each direction, travel through the layers beside the values.
+At any canonical point the network gives an offset to the head model's canonical shape, a basis for expressions and pose
+correctives, and skinning weights (PointAvatar, Sec. 3.2). Normals need the Jacobian of the whole deformation, so three
+tangents, one per direction, are propagated through the layers with the values (forward-mode differentiation).
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ggavatar.points.layers import NormedLinear, affine, he_normal, softplus
+from ggavatar.points.layers import NormedLinear, he_normal, softplus, weight_and_bias
 
 WIDTH, LAYERS = 128, 4
 TEMPERATURE = 20.0
-"""Factor of the skinning logits (PointAvatar)."""
+"""Factor on the skinning logits (PointAvatar)."""
 
 
 class Features(NamedTuple):
-    """What no drive changes: last hidden layer and weights of the joints, with their derivatives along x, y and z.
+    """Drive-independent features: last hidden layer and skinning weights, with derivatives along x, y and z.
 
-    Without tangents of the layer all derivatives count as 0: normals then turn with the joints alone.
+    If `tangents` is None, all derivatives are 0 and normals rotate with the joints only.
     """
 
     values: Float[Tensor, "N H"]
@@ -32,11 +32,11 @@ class Features(NamedTuple):
     weight_tangents: Float[Tensor, "N 3 J"]
 
 
-class Motion(NamedTuple):
-    """What moves points, and the derivative of each part along x, y and z of the canonical point.
+class PointDeformation(NamedTuple):
+    """Inputs of skinning at points, and their derivatives along x, y and z of the canonical point.
 
-    `offsets` lead to the head model's canonical shape, `correctives` are the blendshapes' sum, both in the unit of the
-    points; `weights` of the joints sum to 1.
+    `offsets` lead to the head model's canonical shape and `correctives` are the sum of the blendshapes, both in the
+    unit of the points; the skinning `weights` sum to 1.
     """
 
     offsets: Float[Tensor, "N 3"]
@@ -48,7 +48,7 @@ class Motion(NamedTuple):
 
 
 class Bases(NamedTuple):
-    """The head model as learned at some points: blendshapes (last axis: x, y, z), skinning weights, and offsets."""
+    """Learned blendshapes (last axis x, y, z), skinning weights and offsets at points."""
 
     blendshapes: Float[Tensor, "N B 3"]
     weights: Float[Tensor, "N J"]
@@ -56,11 +56,13 @@ class Bases(NamedTuple):
 
 
 class PointDeformer(nn.Module):
-    """Canonical position → offset, blendshapes and skinning weights; at first nothing moves and joints share evenly.
+    """Network from canonical positions to offsets, blendshapes and skinning weights.
+
+    Initially offsets and blendshapes are zero and all skinning weights are equal.
 
     Args:
-        blendshapes: How many there are: pose correctives and expressions.
-        joints: How many there are, the still one included.
+        blendshapes: Number of blendshapes: pose correctives and expressions.
+        joints: Number of joints, including the static one.
         generator: Draws the initial weights.
     """
 
@@ -76,23 +78,23 @@ class PointDeformer(nn.Module):
         self.skinning_bias = nn.Parameter(torch.zeros(joints))
 
     def features(self, x: Float[Tensor, "N 3"]) -> Features:
-        """The last hidden layer and the joints' weights at canonical points."""
+        """The last hidden layer and the skinning weights at canonical points, with derivatives."""
         first, *others = self.trunk
-        weight, bias = affine(first)
+        weight, bias = weight_and_bias(first)
         values, slope = softplus(torch.addmm(bias, x, weight.T))
         tangents = slope[:, None] * weight.T
         for layer in others:
-            values, tangents = _through(layer, values, tangents)
+            values, tangents = _layer_with_tangents(layer, values, tangents)
         return Features(values, tangents, *self._skinning(values, tangents))
 
-    def features_alone(self, x: Float[Tensor, "N 3"]) -> Features:
-        """As `features` without derivatives, at a quarter of the cost."""
+    def features_without_tangents(self, x: Float[Tensor, "N 3"]) -> Features:
+        """`features` without derivatives, at a quarter of the cost."""
         values = self._values(x)
         weights = self._weights(softplus(self.skinning_layer(values))[0])
         return Features(values, None, weights, weights.new_zeros(len(x), 3, weights.shape[1]))
 
-    def motion(self, features: Features, coefficients: Float[Tensor, " B"]) -> Motion:
-        """The motion for blendshape coefficients, which are contracted with the basis before any point sees it."""
+    def deformation(self, features: Features, coefficients: Float[Tensor, " B"]) -> PointDeformation:
+        """The deformation for blendshape coefficients; they are contracted with the basis once for all points."""
         sums = torch.stack((torch.tensordot(coefficients, self.shape_weight[:-1], 1), self.shape_weight[-1]))
         biases = torch.stack((coefficients @ self.shape_bias[:-1], self.shape_bias[-1]))
         shapes = torch.addmm(biases.flatten(), features.values, sums.flatten(0, 1).T)
@@ -101,10 +103,10 @@ class PointDeformer(nn.Module):
         else:
             shape_tangents = features.tangents @ sums.flatten(0, 1).T
         offsets, correctives = (shapes[:, 3:], shape_tangents[..., 3:]), (shapes[:, :3], shape_tangents[..., :3])
-        return Motion(*offsets, *correctives, features.weights, features.weight_tangents)
+        return PointDeformation(*offsets, *correctives, features.weights, features.weight_tangents)
 
     def bases(self, x: Float[Tensor, "N 3"]) -> Bases:
-        """Blendshapes, weights and offsets themselves, at a few points."""
+        """Blendshapes, skinning weights and offsets at a few points."""
         values = self._values(x)
         shapes = torch.einsum("nh,bch->nbc", values, self.shape_weight) + self.shape_bias
         return Bases(shapes[:, :-1], self._weights(softplus(self.skinning_layer(values))[0]), shapes[:, -1])
@@ -116,8 +118,8 @@ class PointDeformer(nn.Module):
         return x
 
     def _skinning(self, values: Tensor, tangents: Tensor) -> tuple[Tensor, Tensor]:
-        """Weights of the joints, and their derivatives along x, y and z."""
-        values, tangents = _through(self.skinning_layer, values, tangents)
+        """Skinning weights, and their derivatives along x, y and z."""
+        values, tangents = _layer_with_tangents(self.skinning_layer, values, tangents)
         weights = self._weights(values)
         slopes = TEMPERATURE * (tangents @ self.skinning_weight.T)
         return weights, weights[:, None] * (slopes - (slopes * weights[:, None]).sum(-1, keepdim=True))
@@ -126,8 +128,8 @@ class PointDeformer(nn.Module):
         return torch.softmax(TEMPERATURE * torch.addmm(self.skinning_bias, values, self.skinning_weight.T), dim=-1)
 
 
-def _through(layer: nn.Module, values: Tensor, tangents: Tensor) -> tuple[Tensor, Tensor]:
-    """Values and tangents behind a layer and its softplus."""
-    weight, bias = affine(layer)
+def _layer_with_tangents(layer: nn.Module, values: Tensor, tangents: Tensor) -> tuple[Tensor, Tensor]:
+    """Values and tangents after a layer and its softplus."""
+    weight, bias = weight_and_bias(layer)
     after, slope = softplus(torch.addmm(bias, values, weight.T))
     return after, slope[:, None] * (tangents @ weight.T)

@@ -1,7 +1,7 @@
-"""What a drive says to canonical points: blendshape coefficients, and transforms of the joints and of a still one.
+"""From drives to what canonical points need: blendshape coefficients, and transforms of joints and a static joint.
 
-PointAvatar's camera and torso stand still while the head turns. Trackers that put the head pose into the camera keep
-the head still instead; its joint that never moves is then the torso held before the camera.
+Camera and torso are static in PointAvatar while the head turns. Trackers that put the head pose into the camera keep
+the head static instead; the static joint then is the torso in front of the camera.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ggavatar.core import Drive
 from ggavatar.geometry.transforms import axis_angle_to_matrix
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.points.skinning import Bones
+from ggavatar.points.skinning import BoneTransforms
 
 
-class Pose(NamedTuple):
-    """Correctives [B], the camera's axes, and rotation and offset of all bones in the canonical and the posed head."""
+class PosedSkeleton(NamedTuple):
+    """Blendshape coefficients relative to the canonical pose, the camera's axes, and all canonical and posed bones."""
 
     correctives: Float[Tensor, " B"]
     head_to_camera: Float[Tensor, "3 3"]
@@ -33,26 +33,26 @@ class Pose(NamedTuple):
     offsets: Float[Tensor, "J 3"]
 
     @property
-    def canonical(self) -> Bones:
-        """Bones of the canonical pose."""
-        return Bones(self.canonical_rotations, self.canonical_offsets)
+    def canonical(self) -> BoneTransforms:
+        """The bones in the canonical pose."""
+        return BoneTransforms(self.canonical_rotations, self.canonical_offsets)
 
     @property
-    def posed(self) -> Bones:
-        """Bones of the drive."""
-        return Bones(self.rotations, self.offsets)
+    def posed(self) -> BoneTransforms:
+        """The bones posed by the drive."""
+        return BoneTransforms(self.rotations, self.offsets)
 
 
 @dataclass(frozen=True)
-class Driver:
-    """Turns drives into poses of points.
+class SkeletonDriver:
+    """Converts drives to posed skeletons.
 
     Attributes:
-        head: Any head.
+        head: The head model.
         canonical: The drive of the canonical pose.
-        poses: What the training says about the head pose.
-        unit: Units of length of the points per metre.
-        root_is_still: Whether the head's root joint goes with the torso.
+        poses: Head poses of the training frames.
+        unit: Units of length of the points per meter.
+        root_is_still: Whether the head's root joint moves with the torso.
     """
 
     head: HeadModel
@@ -61,8 +61,8 @@ class Driver:
     unit: float
     root_is_still: bool
 
-    def pose(self, drive: Drive) -> Pose:
-        """What this drive says to all points; its translation is left to the caller."""
+    def posed_skeleton(self, drive: Drive) -> PosedSkeleton:
+        """The skeleton posed by a drive, without the drive's translation."""
         correctives = shape_coefficients(drive) - shape_coefficients(self.canonical)
         rotations, offsets = self.head.joint_transforms(self.canonical)
         still, rest = torch.eye(3).to(rotations), torch.zeros(3).to(rotations)
@@ -76,18 +76,18 @@ class Driver:
             root = torch.arange(len(offsets), device=offsets.device) == self.head.joint("root")
             rotations = torch.where(root[:, None, None], still @ rotations, rotations)
             offsets = torch.where(root[:, None], offsets @ still.T + shift, offsets)
-        return Pose(
+        return PosedSkeleton(
             correctives, drive.head_to_camera[:3, :3], *canonical, *self._bones((still, shift), (rotations, offsets))
         )
 
-    def _bones(self, still: tuple[Tensor, Tensor], joints: tuple[Tensor, Tensor]) -> Bones:
-        """The joint that never moves, then the head's, in the unit of the points."""
+    def _bones(self, still: tuple[Tensor, Tensor], joints: tuple[Tensor, Tensor]) -> BoneTransforms:
+        """The static joint, then the head's joints, in the unit of the points."""
         rotations = torch.cat((still[0][None], joints[0]))
-        return Bones(rotations, self.unit * torch.cat((still[1][None], joints[1])))
+        return BoneTransforms(rotations, self.unit * torch.cat((still[1][None], joints[1])))
 
 
 def canonical_drive(head: HeadModel, drives: Sequence[Drive], jaw: float) -> Drive:
-    """The pose in which points are at home: mean expression and lids of some drives, the jaw open by `jaw` rad."""
+    """The drive of the canonical pose: mean expression and eyelids of some drives, the jaw open by `jaw` rad."""
     still = head.neutral_drive()
     joints = still.joint_rotations.clone()
     if "jaw" in head.joint_names:
@@ -98,12 +98,12 @@ def canonical_drive(head: HeadModel, drives: Sequence[Drive], jaw: float) -> Dri
 
 
 def expression_coefficients(drive: Drive) -> Float[Tensor, " E"]:
-    """Expression coefficients, then lids: all of them are blendshapes."""
+    """Coefficients of expressions, then of eyelids; all of them are blendshapes."""
     return torch.cat((drive.expression, drive.eyelids))
 
 
 def shape_coefficients(drive: Drive) -> Float[Tensor, " B"]:
-    """vec(R − I) of all joints but the root, then expression coefficients and lids."""
+    """vec(R − I) of all joints but the root, then the coefficients of expressions and eyelids."""
     rotations = axis_angle_to_matrix(drive.joint_rotations[1:])
     feature = (rotations - torch.eye(3).to(rotations)).flatten()
     return torch.cat((feature, expression_coefficients(drive)))

@@ -1,6 +1,6 @@
-"""A start at the head model: points on its surface, and networks that know its distance and its motion. Ours.
+"""Initialization from the head model: points on its surface, and networks fitted to its distance and deformation.
 
-PointAvatar learns all this beside the pictures, within hours; a training of minutes has no time for it.
+Not in PointAvatar, which learns both from images within hours; a training of minutes is too short for that.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from ggavatar.points.deformer import PointDeformer
 from ggavatar.points.head_targets import HeadTargets
 
 ROWS = 512
-"""Points of a fitting step."""
+"""Points per fitting step."""
 RATE = 2e-3
-"""Learning rate of the fitting, which falls to nothing."""
+"""Initial learning rate of the fitting; it falls linearly to 0."""
 NEIGHBOURS = 0.25
-"""Reach of the neighbours at which the gradient's length is looked at, quarter metres."""
+"""Maximum distance per axis of the random neighbors for the eikonal loss, quarter meters."""
 
 
 class HeadSurface(NamedTuple):
-    """Points on the head model in its canonical pose, quarter metres, with the unit normals of their triangles."""
+    """Points on the head model in its canonical pose, quarter meters, with the unit normals of their triangles."""
 
     points: Float[Tensor, "N 3"]
     normals: Float[Tensor, "N 3"]
 
     @staticmethod
     def of(head: HeadModel, canonical: Drive, unit: float, count: int, generator: torch.Generator) -> HeadSurface:
-        """`count` points, spread by area; `unit` of length of the points per metre."""
+        """`count` points, evenly distributed by area; `unit` is the number of units of length per meter."""
         vertices = unit * head.vertices(canonical)
         points, face, _ = sample_surface(vertices, head.faces, count, generator)
         corners = vertices[head.faces[face]]
@@ -50,7 +50,7 @@ def fit_to_head(
     steps: int,
     generator: torch.Generator,
 ) -> None:
-    """Let the networks learn the head model's signed distance, blendshapes and skinning weights."""
+    """Fit the networks to the head model's signed distance, blendshapes and skinning weights."""
     canonical, deformer = networks
     parameters = [*canonical.parameters(), *deformer.parameters()]
     optimizer = torch.optim.Adam(parameters, lr=RATE, fused=True)
@@ -69,7 +69,7 @@ def fit_to_head(
 
 
 def _distance_loss(network: CanonicalNetwork, points: Tensor, normals: Tensor, generator: torch.Generator) -> Tensor:
-    """Distance 0 and the mesh's normal on its surface, a gradient of length 1 around it."""
+    """Loss: distance 0 and the mesh's normal on its surface, a gradient of length 1 around it."""
     around = points + 2 * NEIGHBOURS * (torch.rand(points.shape, generator=generator).to(points) - 0.5)
     on, off = network(points), network(around)
     lengths = off.gradient.norm(dim=1)

@@ -1,4 +1,4 @@
-"""What the head model says about its own motion, as targets for what points learn (PointAvatar, Sec. 3.5)."""
+"""Targets from the head model for learned blendshapes and skinning weights (PointAvatar, Sec. 3.5)."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from ggavatar.core import Drive
 from ggavatar.head.model import HeadModel
 from ggavatar.points.deformer import Bases
 
-COEFFICIENTS = 50
-"""Expression coefficients in PointAvatar, by which it divides."""
+PAPER_COEFFICIENTS = 50
+"""Number of expression coefficients in PointAvatar; its loss is divided by it."""
 
 
 @dataclass(frozen=True)
 class HeadTargets:
-    """Bases of the head model at the vertices of its canonical pose, lengths in the unit of the points.
+    """Bases of the head model at its vertices in the canonical pose, lengths in the unit of the points.
 
     Attributes:
-        tree: Of the vertices in the canonical pose.
-        blendshapes: Pose correctives, then expressions, then lids.
-        weights: The still joint, which no vertex hangs on, then the head's joints.
-        variances: Of every expression coefficient and lid over the training.
+        tree: Search tree of the vertices in the canonical pose.
+        blendshapes: Pose correctives, then expressions, then eyelids.
+        weights: Skinning weights: 0 for the static joint, then those of the head's joints.
+        variances: Variance of every expression and eyelid coefficient over the training frames.
     """
 
     tree: cKDTree
@@ -40,10 +40,10 @@ class HeadTargets:
         """Targets from a head.
 
         Args:
-            head: Any head; one without pose correctives wants none of the points.
-            canonical: The canonical pose.
-            coefficients: Expressions and lids of the training frames.
-            unit: Units of length of the points per metre.
+            head: The head model; without pose correctives, their targets are zero.
+            canonical: The drive of the canonical pose.
+            coefficients: Expression and eyelid coefficients of the training frames.
+            unit: Units of length of the points per meter.
         """
         vertices = head.vertices(canonical)
         correctives = head.pose_basis
@@ -52,13 +52,13 @@ class HeadTargets:
         shapes = torch.cat((correctives, head.expression_basis, head.eyelid_basis), dim=2) * unit
         still = vertices.new_zeros(len(vertices), 1)
         variances = coefficients.var(0) if len(coefficients) > 1 else torch.ones_like(coefficients[0])
-        least = (0.01 * variances.mean()).clamp_min(1e-6)  # a coefficient that never moves would weigh without bound
+        least = (0.01 * variances.mean()).clamp_min(1e-6)  # a constant coefficient would get an unbounded weight
         tree = cKDTree((vertices * unit).double().cpu().numpy())
         weights = torch.cat((still, head.skinning_weights), dim=1)
         return HeadTargets(tree, shapes.transpose(1, 2), weights, variances.clamp_min(least))
 
     def nearest(self, points: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
-        """The vertex next to every point of the canonical pose."""
+        """Index of the vertex nearest to every point in the canonical pose."""
         found = self.tree.query(points.detach().double().cpu().numpy())[1]
         return torch.from_numpy(np.asarray(found)).to(points.device)
 
@@ -66,13 +66,13 @@ class HeadTargets:
         """Mean squared differences from the nearest vertex: `skinning`, `correctives`, `expressions`.
 
         Args:
-            bases: What was learned at some points.
-            points: Where they are in the canonical pose of the head.
+            bases: Learned bases at some points.
+            points: Positions of these points in the head's canonical pose.
         """
         vertex = self.nearest(points)
         expressions = len(self.variances)
         apart = (10 * (bases.blendshapes - self.blendshapes[vertex])).square()
-        weighed = apart[:, -expressions:] / self.variances[:, None] / COEFFICIENTS
+        weighed = apart[:, -expressions:] / self.variances[:, None] / PAPER_COEFFICIENTS
         return {
             "skinning": 0.1 * (bases.weights - self.weights[vertex]).square().mean(),
             "correctives": 10 * apart[:, :-expressions].sum() / max(apart[:, :-expressions].numel(), 1),

@@ -1,11 +1,12 @@
-"""The canonical points and their schedule: first few and large, then doubled and smaller, the hidden ones dropped.
+"""The canonical points and their schedule: repeatedly doubled while their discs shrink; invisible points are pruned.
 
-Survivors keep Adam's moments and newborn points start without; the authors' code begins a new Adam for everything.
+Kept points keep their Adam moments and new points start with zero moments; the authors' code creates a new Adam.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool
@@ -15,35 +16,35 @@ from torch.nn.functional import normalize
 from ggavatar.optim.parameters import Column, Rows
 
 SHRINKING = 0.75
-"""Factor of the radius for twice as many points (PointAvatar)."""
+"""Factor on the radius at each doubling of the points (PointAvatar)."""
 
 
 @dataclass(frozen=True)
 class CloudSchedule:
-    """When points are added and dropped (PointAvatar)."""
+    """Schedule of adding and pruning points (PointAvatar)."""
 
-    epoch: int
-    """Steps of an epoch."""
-    upsampling: int
+    steps_per_epoch: int
+    """Steps per epoch."""
+    upsampling_epochs: int
     """Epochs between two doublings."""
-    pruning: int
+    pruning_steps: int
     """Steps between two prunings."""
-    most: int
-    """No doubling may lead to more points than this."""
-    least_radius: float
-    """No pruning once discs are smaller than this, normalised device coordinates."""
+    max_points: int
+    """Maximum number of points after a doubling."""
+    min_radius: float
+    """Radius of discs below which points are no longer pruned, normalized device coordinates."""
 
 
 class PointCloud(nn.Module):
-    """Points with the radius of their discs, and which of them have shown since the last pruning.
+    """Points, the radius of their discs, and flags of the points that were visible since the last pruning.
 
     Args:
-        count: Points at first, on a sphere about the origin.
-        sphere: Its radius, in the unit of the points.
-        radius_factor: Radius of the discs of 100 points, normalised device coordinates.
+        count: Initial number of points, on a sphere about the origin.
+        sphere: Radius of that sphere, in the unit of the points.
+        radius_factor: Radius of the discs for 100 points, normalized device coordinates.
         rate: Learning rate of the positions.
-        generator: Draws the first points.
-        start: The first points themselves, [count, 3], instead of a sphere.
+        generator: Draws the initial points.
+        start: Initial points [count, 3] to use instead of a sphere.
     """
 
     radius: Tensor
@@ -72,19 +73,19 @@ class PointCloud(nn.Module):
 
     @torch.no_grad()
     def advance(self, step: int, shown: Bool[Tensor, " N"], plan: CloudSchedule, generator: torch.Generator) -> None:
-        """Note which discs showed in `step`, then prune and double if it is time."""
+        """Record which discs were visible in `step`, then prune and double the points when due."""
         marks = self.rows["shown"]
         marks |= shown
-        if step % plan.pruning == 0:
-            if float(self.radius) >= plan.least_radius and bool(marks.any()):
+        if step % plan.pruning_steps == 0:
+            if float(self.radius) >= plan.min_radius and bool(marks.any()):
                 self.rows.take(torch.nonzero(marks)[:, 0])
             self.rows["shown"].zero_()
-        if step % (plan.epoch * plan.upsampling) == 0 and 2 * len(self.rows) <= plan.most:
+        if step % (plan.steps_per_epoch * plan.upsampling_epochs) == 0 and 2 * len(self.rows) <= plan.max_points:
             self.upsample(generator)
 
     @torch.no_grad()
     def upsample(self, generator: torch.Generator) -> None:
-        """A second point near every point, by up to half a disc's radius along each axis, and smaller discs."""
+        """Add a point near every point, at most half a disc's radius away along each axis, and shrink the discs."""
         points = self.points
         noise = torch.rand(points.shape, generator=generator).to(points) - 0.5
         fresh = {"points": points + noise * float(self.radius), "shown": torch.zeros_like(self.rows["shown"])}
@@ -92,5 +93,5 @@ class PointCloud(nn.Module):
         self.radius.mul_(SHRINKING)
 
 
-def _adam(groups: list[dict]) -> torch.optim.Optimizer:
+def _adam(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
     return torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-8, fused=True)

@@ -1,7 +1,7 @@
-"""Functions of rows, block by block: activations stay in the cache, and rows that no loss looks at get no backward.
+"""Row-wise functions evaluated block by block, with a backward pass over the rows that have a gradient only.
 
-In a picture of points most are hidden, and their colour has no gradient. The forward pass keeps nothing; the backward
-pass repeats it for the rows whose outputs have a gradient.
+Activations of a block stay in the cache. Most points are hidden in an image, and their colors have no gradient. The
+forward pass stores no activations; the backward pass recomputes them for the rows whose outputs have a gradient.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 BLOCK, LARGE_BLOCK = 512, 1 << 16
-"""Rows at a time on a CPU, for its cache, and elsewhere, for its memory."""
+"""Rows per block on a CPU (limited by its cache) and on other devices (limited by their memory)."""
 
 RowFunction = Callable[[Sequence[Tensor], Sequence[Tensor]], tuple[Tensor, ...]]
 
@@ -25,11 +25,11 @@ def rowwise(
     """The outputs of `function(rows, shared)`, differentiable in rows, shared tensors and parameters.
 
     Args:
-        function: Gives tensors whose row k depends on row k of the inputs alone; besides its arguments it may read
-            `parameters`, but no other tensor that wants a gradient.
+        function: Returns tensors whose row k depends on row k of the inputs only. Besides its arguments it may use
+            `parameters`, but no other tensor that requires a gradient.
         rows: Tensors of equal length.
-        shared: Further tensors, the same for all rows.
-        parameters: Leaves that `function` reads by itself.
+        shared: Tensors that are the same for all rows.
+        parameters: Leaf tensors that `function` uses without receiving them as arguments.
     """
     return tuple(_Rowwise.apply(function, len(rows), len(shared), *rows, *shared, *parameters))
 
@@ -70,7 +70,7 @@ def _block_backward(
     wanted: tuple[Tensor, list[Tensor]],
     found: list[Tensor | None],
 ) -> None:
-    """Add what some rows contribute to the gradients."""
+    """Add the contribution of some rows to the gradients."""
     index, upstream = wanted
     count = ctx.rows + ctx.shared
     with torch.enable_grad():

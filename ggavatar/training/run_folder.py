@@ -22,7 +22,7 @@ from torch import Tensor
 
 from ggavatar.core import Frame, Rasterizer
 from ggavatar.data.capture import Capture
-from ggavatar.data.frames import Frames, spaced
+from ggavatar.data.frames import Frames, evenly_spaced
 from ggavatar.data.scene import Scene
 from ggavatar.data.splits import Split, split_frames, split_name
 from ggavatar.errors import InputError
@@ -162,7 +162,7 @@ def make_scene(
     if rasterize is not None:
         factor = min(1.0, SAMPLE_SIDE / min(capture.width, capture.height))
         size = (round(capture.width * factor), round(capture.height * factor))
-        samples = tuple(reader.frame(number, *size) for number in spaced(split.train, SAMPLE_COUNT))
+        samples = tuple(reader.frame(number, *size) for number in evenly_spaced(split.train, SAMPLE_COUNT))
     scene = Scene(
         head=head,
         drives=tuple(reader.drive(number) for number in split.train),

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.core import Frame, Rasterizer, Rendering
-from ggavatar.data.frames import Frames, random_order, spaced
+from ggavatar.data.frames import Frames, evenly_spaced, random_order
 from ggavatar.data.splits import Split
 from ggavatar.training.checkpoint import (
     complete_steps,
@@ -232,7 +232,7 @@ class Trainer:
         """Mean PSNR of a few test frames at full size."""
         self.avatar.eval()
         values = {}
-        for number in spaced(self.split.test, self.plan.eval_frames):
+        for number in evenly_spaced(self.split.test, self.plan.eval_frames):
             frame = self.frames.frame(number)
             rendering = self.rasterize(self.avatar.gaussians(frame.drive), frame.camera, self.background)
             error = (rendering.image.clamp(0, 1) - frame.image).square().mean()

@@ -46,7 +46,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     Capture.open(context.folder)
     for item in capture.dropped:
         for folder in ("images", "masks"):
-            capture.picture_path(folder, item["frame"]).unlink(missing_ok=True)
+            capture.image_path(folder, item["frame"]).unlink(missing_ok=True)
     context.reporter.advance(1, 1)
     return {"frames": len(frames), "dropped": len(capture.dropped)}
 

@@ -1,4 +1,4 @@
-"""A toy capture: an egg that opens its mouth and turns, 24 frames of 48×48 px, drawn by the reference rasteriser."""
+"""A toy capture: an egg that opens its mouth and turns, 24 frames of 48×48 px, rendered by the reference rasterizer."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def toy_tracking() -> Tracking:
 
 
 def paint(head: HeadModel, drive: Drive, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """The egg in colours that change with the mouth, 8-bit, and its coverage."""
+    """The egg in colors that change with the mouth, 8-bit, and its coverage."""
     frames = triangle_frames(head.vertices(drive), head.faces)
     x, y, z = triangle_frames(head.neutral(), head.faces).centers.unbind(-1)
     colors = torch.stack((0.5 + 4 * x, 0.5 + 4 * y, 0.5 + 0.3 * torch.sin(80 * x + 60 * z)), dim=-1)
@@ -122,15 +122,15 @@ def toy_capture(tmp_path_factory: pytest.TempPathFactory, toy_head: HeadModel) -
     """The toy capture, opened; tests must not change it."""
     tracking = toy_tracking()
     numbers = tuple(range(3, 3 + FRAMES))
-    pictures = []
+    images = []
     for row in range(FRAMES):
         values = {name: torch.from_numpy(value[row]) for name, value in tracking.arrays().items()}
         view = values["world_to_camera"]
         drive = Drive(values["expression"], values["joint_rotations"], values["eyelids"], values["translation"], view)
-        pictures.append(paint(toy_head, drive, Camera(values["intrinsics"], view, SIZE, SIZE)))
+        images.append(paint(toy_head, drive, Camera(values["intrinsics"], view, SIZE, SIZE)))
     test = numbers[::5]
     split = Split(tuple(number for number in numbers if number not in test), test)
     folder = Path(tmp_path_factory.mktemp("toy")) / "egg capture"
     described = Capture(folder, "egg", SIZE, SIZE, 25.0, numbers, {"every-20th": split}, tracking, toy_head.version)
-    described.write(pictures, head_arrays(toy_head))
+    described.write(images, head_arrays(toy_head))
     return Capture.open(folder)

@@ -1,7 +1,6 @@
-"""A licence-free head in FLAME's parameter layout, made by a few seconds of arithmetic and no data file.
+"""A license-free head in FLAME's parameter layout, computed within seconds and without any data file.
 
-It serves as the embedded subject's tracked head and as the generic head from which the tracker takes scalp, neck and
-shoulders.
+It is the head of the synthetic subjects, and the generic head that supplies scalp, neck and shoulders to tracked heads.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from torch import Tensor
 
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural.expression import expression_basis, expression_names, lower_share
+from ggavatar.head.procedural.expression import expression_basis, expression_names, lower_lip_weight
 from ggavatar.head.procedural.identity import identity_basis, identity_names
 from ggavatar.head.procedural.parts import Part, eyeball, left_ear, lid_margin, mouth_bag, strip, teeth, tongue
 from ggavatar.head.procedural.regions import named_regions
@@ -32,7 +31,7 @@ VERSION = "procedural-1"
 
 @dataclass(frozen=True)
 class _Assembly:
-    """All pieces in one numbering: vertices, faces, vertex sets by piece, loops of the lid margins."""
+    """All parts with common vertex indices: vertices, faces, vertex sets by part, loops of the lid and lip margins."""
 
     vertices: ndarray
     faces: ndarray
@@ -47,10 +46,10 @@ def procedural_head(identity: Sequence[float] | Float[ndarray, " I"] | None = No
     Args:
         identity: Up to `len(identity_names())` coefficients, about one standard deviation per unit; None is the
             generic head.
-        seed: Of the points' placement; heads of one seed share their triangles.
+        seed: Seed of the vertex placement; heads with the same seed have the same triangles.
 
     Raises:
-        InputError: More coefficients than the basis has, or one that is not finite.
+        InputError: There are more coefficients than the basis has, or one is not finite.
     """
     generic, basis = _generic(seed)
     coefficients = np.zeros(basis.shape[2])
@@ -58,18 +57,10 @@ def procedural_head(identity: Sequence[float] | Float[ndarray, " I"] | None = No
     if given.ndim != 1 or len(given) > len(coefficients) or not np.isfinite(given).all():
         raise InputError(
             f"expected at most {len(coefficients)} finite identity coefficients, found {given.tolist()}; "
-            "their names are in procedural_names()"
+            "procedural_names() lists them"
         )
     coefficients[: len(given)] = given
     return _as_model(generic, generic.vertices + basis @ coefficients)
-
-
-def procedural_identity_basis(*, seed: int = 0) -> Float[Tensor, "V 3 I"]:
-    """Displacement per unit of every identity coefficient (names in `identity_names()`).
-
-    M, for the vertices of `procedural_head`.
-    """
-    return torch.tensor(_generic(seed)[1], dtype=torch.float32)
 
 
 def procedural_names() -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -79,7 +70,7 @@ def procedural_names() -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 @cache
 def _generic(seed: int) -> tuple[_Assembly, ndarray]:
-    """Generic pieces and the identity basis, computed once per process."""
+    """The generic head's parts and its identity basis, computed once per process."""
     assembly = _assemble(build_skin(seed))
     soft = np.zeros(len(assembly.vertices), bool)
     for name in ("skin", "mouth_bag", "ears"):
@@ -89,15 +80,15 @@ def _generic(seed: int) -> tuple[_Assembly, ndarray]:
 
 
 def _assemble(skin: Skin) -> _Assembly:
-    """Glue lid margins and mouth bag to the skin and add the separate pieces."""
+    """Attach lid margins and mouth bag to the skin and append the separate parts."""
     vertices, faces, groups = [skin.vertices], [skin.faces], {}
     count = len(skin.vertices)
     center = np.asarray(EYE_CENTER)
     for loop, eye, outwards in ((skin.left_lids, center, True), (skin.right_lids, center * (-1, 1, 1), False)):
-        count = _glue(vertices, faces, count, loop, lid_margin(skin.vertices[loop], eye), inwards=outwards)
+        count = _append_rings(vertices, faces, count, loop, lid_margin(skin.vertices[loop], eye), inwards=outwards)
     groups["skin"] = np.arange(count)
     first = count
-    count = _glue(vertices, faces, count, skin.lips, mouth_bag(skin.vertices[skin.lips]), inwards=True)
+    count = _append_rings(vertices, faces, count, skin.lips, mouth_bag(skin.vertices[skin.lips]), inwards=True)
     last = np.arange(count - len(skin.lips), count)
     vertices.append(np.concatenate(vertices)[last].mean(axis=0, keepdims=True) - (0, 0, 0.003))
     faces.append(np.stack((np.full(len(last), count), last, np.roll(last, -1)), axis=1))
@@ -114,8 +105,10 @@ def _assemble(skin: Skin) -> _Assembly:
     )
 
 
-def _glue(vertices: list, faces: list, count: int, loop: ndarray, rings: list[ndarray], *, inwards: bool) -> int:
-    """Append rings and the strips between them, starting from an existing loop; returns the new number of vertices."""
+def _append_rings(
+    vertices: list, faces: list, count: int, loop: ndarray, rings: list[ndarray], *, inwards: bool
+) -> int:
+    """Append rings and the strips between them, starting from an existing loop; the new number of vertices."""
     for ring in rings:
         following = np.arange(count, count + len(ring))
         band = strip(loop, following)
@@ -141,7 +134,7 @@ def _separate_parts() -> list[tuple[str, Part]]:
 
 
 def _as_model(generic: _Assembly, template: ndarray) -> HeadModel:
-    """Bases and weights are those of the generic head; they belong to vertices, not to places."""
+    """A head model of the given template; bases and weights are per vertex and those of the generic head."""
     points, groups = generic.vertices, generic.groups
     on_skin, on_tongue = (
         np.isin(np.arange(len(points)), rows)
@@ -154,7 +147,7 @@ def _as_model(generic: _Assembly, template: ndarray) -> HeadModel:
     return HeadModel(
         template=real(template),
         faces=torch.tensor(generic.faces, dtype=torch.int64),
-        expression_basis=real(expression_basis(points, lower_share(points), on_skin, on_tongue)),
+        expression_basis=real(expression_basis(points, lower_lip_weight(points), on_skin, on_tongue)),
         pose_basis=torch.zeros(len(points), 3, 0),
         eyelid_basis=real(eyelid_basis(points, groups["skin"], generic.lids)),
         joint_regressor=real(joint_regressor(points, groups)),

@@ -1,6 +1,6 @@
-"""What the skin does not cover.
+"""Parts of the procedural head besides the skin: lid margins, mouth bag, eyeballs, teeth, tongue and ears.
 
-Lid margins, the inside of the mouth, eyeballs, teeth, tongue and ears. Metres, FLAME's axes.
+Lengths in m, FLAME's axes.
 """
 
 from __future__ import annotations
@@ -20,17 +20,14 @@ _LOWER_TOOTH_WIDTHS = (0.0054, 0.0059, 0.0068, 0.0070, 0.0071, 0.0108, 0.0102)
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of surface.
-
-    `faces` count from the piece's own first vertex unless it is glued to loops of another one.
-    """
+    """A separate triangle mesh; `faces` index its own vertices."""
 
     vertices: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
 
 
 def strip(first: Int[ndarray, " N"], second: Int[ndarray, " N"], *, closed: bool = True) -> Int[ndarray, "F 3"]:
-    """Triangles between two loops of equal length.
+    """Triangles between two loops of equal length, given as vertex indices.
 
     They face the side from which `first` runs counter-clockwise around `second`.
     """
@@ -42,13 +39,13 @@ def strip(first: Int[ndarray, " N"], second: Int[ndarray, " N"], *, closed: bool
 
 
 def grid_faces(rows: int, columns: int, *, closed: bool = False) -> Int[ndarray, "F 3"]:
-    """Triangles of a grid of vertices stored row by row; `closed` joins the last column to the first."""
+    """Triangles of a grid of vertices in row-major order; `closed` joins the last column to the first."""
     numbers = np.arange(rows * columns).reshape(rows, columns)
     return np.concatenate([strip(numbers[row], numbers[row + 1], closed=closed) for row in range(rows - 1)])
 
 
 def lid_margin(loop: Float[ndarray, "N 3"], center: Float[ndarray, " 3"]) -> list[ndarray]:
-    """Loops from the lid's outer edge over its thickness to behind the eyeball's front, from outside to inside."""
+    """Two loops that continue a lid's edge inwards: across its thickness, then behind the front of the eyeball."""
     offset = loop - center
     length = np.linalg.norm(offset, axis=1, keepdims=True)
     edge = center + offset * ((EYE_RADIUS + np.minimum(length - EYE_RADIUS, 0.0003)) / length)
@@ -61,7 +58,7 @@ def lid_margin(loop: Float[ndarray, "N 3"], center: Float[ndarray, " 3"]) -> lis
 def mouth_bag(loop: Float[ndarray, "N 3"]) -> list[ndarray]:
     """Loops from the lip margin into a pocket behind the teeth, from outside to inside.
 
-    The last one is closed by a fan.
+    The caller closes the last one with a fan of triangles.
     """
     side = np.sin(np.arange(len(loop)) * 2 * np.pi / len(loop))
     middle = loop.mean(axis=0)
@@ -86,7 +83,7 @@ def mouth_bag(loop: Float[ndarray, "N 3"]) -> list[ndarray]:
 
 
 def eyeball(center: Float[ndarray, " 3"]) -> Part:
-    """A sphere with its pole at the pupil and a slightly bulging cornea; rings are denser there."""
+    """A sphere with its pole at the pupil, a slightly bulging cornea, and denser rings there."""
     share = np.linspace(0, 1, _EYE_RINGS + 1)[1:-1]
     polar = np.pi * (0.55 * share + 0.45 * share**2.2)
     around = np.arange(_EYE_AROUND) * 2 * np.pi / _EYE_AROUND
@@ -133,7 +130,7 @@ def teeth(*, upper: bool) -> Part:
 
 
 def _arch_samples(widths: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-    """Positions along the arch, signed tooth number, and place inside the tooth from −1 to 1; five samples a tooth."""
+    """Positions along the arch, signed tooth numbers and positions within the tooth in [−1, 1]; five samples each."""
     edges = np.concatenate(([0.0], np.cumsum(widths)))
     inside = np.array([-0.97, -0.75, 0.0, 0.75, 0.97])
     right = np.concatenate([(edges[i] + edges[i + 1]) / 2 + inside * widths[i] / 2 for i in range(len(widths))])
@@ -183,9 +180,9 @@ def tongue() -> Part:
 
 @dataclass(frozen=True)
 class EarRing:
-    """One ring of the ear: share of the outline's size, and how far it stands out from the head, m."""
+    """One ring of the ear: its size relative to the outline, and how far it stands out from the head, m."""
 
-    share: float
+    size: float
     lift: float
 
 
@@ -214,9 +211,9 @@ def left_ear() -> Part:
     for ring in _EAR_RINGS:
         front = np.clip(np.cos(angle - 0.15), 0, 1) ** 1.5
         lobe = np.clip(-np.sin(angle), 0, 1) ** 3
-        flat = outline * ring.share
-        lift = ring.lift * (1 - 0.55 * front) * (1 - 0.35 * lobe) + 0.0018 * lobe * ring.share
-        lift = lift + 0.0115 * np.clip(-flat[:, 0] / 0.02, 0, 1.2) * ring.share
+        flat = outline * ring.size
+        lift = ring.lift * (1 - 0.55 * front) * (1 - 0.35 * lobe) + 0.0018 * lobe * ring.size
+        lift = lift + 0.0115 * np.clip(-flat[:, 0] / 0.02, 0, 1.2) * ring.size
         rings.append(np.column_stack((lift, flat[:, 1], flat[:, 0])))
     rings = [np.tile(rings[0].mean(axis=0) - (0.004, 0, 0), (1, 1)), *rings]
     vertices = np.concatenate(rings)

@@ -6,17 +6,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
+from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, lip_line_height
 
 
 def named_regions(
     points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray, " R"]], lids: tuple[ndarray, ndarray], lips: ndarray
 ) -> dict[str, ndarray]:
-    """Vertex sets of a generic head: the pieces themselves and parts of the skin; they may overlap.
+    """Vertex sets of the generic head: its parts, and areas of the skin; they may overlap.
 
     Args:
-        points: Generic vertices, m.
-        groups: Vertex sets of the pieces.
+        points: Vertices of the generic head, m.
+        groups: Vertex sets of the parts.
         lids: Loops of the left and the right lid margin.
         lips: Loop of the lip margin.
     """
@@ -46,9 +46,9 @@ def named_regions(
 
 
 def _lips(x: ndarray, y: ndarray, z: ndarray) -> ndarray:
-    """The vermilion: inside a curve 7 mm above and 9 mm below the line between the lips, narrowing to the corners."""
+    """Mask of the vermilion: up to 7 mm above and 9 mm below the line between the lips, less towards the corners."""
     across = np.clip(x / (MOUTH_HALF_WIDTH + 0.001), 0, 1)
-    height = y - slit_height(x)
+    height = y - lip_line_height(x)
     return (
         (height < 0.0072 * (1 - across**2.5))
         & (height > -0.0092 * (1 - across**2.5))

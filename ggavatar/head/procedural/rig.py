@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from ggavatar.head.procedural.expression import lower_share
+from ggavatar.head.procedural.expression import lower_lip_weight
 from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS, LID_THICKNESS
 
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
@@ -21,39 +21,39 @@ JOINTS = np.array(
         (-_EYE_X, _EYE_Y, _EYE_Z),
     ]
 )
-_CLOSED_SHARE = 0.30
+_CLOSING_LINE_HEIGHT = 0.30
 
 
 def _smooth(low: float, high: float, values: ndarray) -> ndarray:
-    """0 below `low`, 1 above `high`, a cubic step between."""
+    """Smoothstep: 0 below `low`, 1 above `high`, a cubic step between."""
     share = np.clip((values - low) / (high - low), 0.0, 1.0)
     return share * share * (3 - 2 * share)
 
 
-def jaw_share(points: Float[ndarray, "V 3"]) -> Float[ndarray, " V"]:
-    """How far skin follows the jaw.
+def jaw_weight(points: Float[ndarray, "V 3"]) -> Float[ndarray, " V"]:
+    """Weight with which skin follows the jaw, in [0, 1].
 
-    1 on the lower lip and chin, 0 on the upper lip, fading over cheeks, throat and towards the ears.
+    It is 1 on the lower lip and chin, 0 on the upper lip, and fades over cheeks and throat and towards the ears.
     """
     throat = _smooth(-0.125, -0.088, points[:, 1] + 0.35 * np.clip(points[:, 2] - 0.02, 0, 0.05))
     front = _smooth(-0.045, 0.015, points[:, 2])
-    return lower_share(points) * throat * front
+    return lower_lip_weight(points) * throat * front
 
 
 def skinning_weights(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray, " R"]]) -> Float[ndarray, "V J"]:
     """Weights of root, neck, jaw, left and right eye; rows sum to 1.
 
     Args:
-        points: Generic vertices, m.
+        points: Vertices of the generic head, m.
         groups: Vertex sets `skin`, `mouth_bag`, `left_eyeball`, `right_eyeball`, `upper_teeth`, `lower_teeth`,
             `tongue` and `ears`.
     """
     weights = np.zeros((len(points), len(JOINTS)))
-    jaw = jaw_share(points)
+    jaw = jaw_weight(points)
     for name in ("ears", "upper_teeth"):
         jaw[groups[name]] = 0.0
     bag = groups["mouth_bag"]
-    jaw[bag] = lower_share(points[bag]) * _smooth(-0.03, 0.01, points[bag, 2])
+    jaw[bag] = lower_lip_weight(points[bag]) * _smooth(-0.03, 0.01, points[bag, 2])
     jaw[groups["lower_teeth"]] = 1.0
     jaw[groups["tongue"]] = 0.5 + 0.5 * _smooth(-0.010, 0.020, points[groups["tongue"], 2])
     neck = _smooth(-0.150, -0.095, points[:, 1])
@@ -66,7 +66,7 @@ def skinning_weights(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarra
 
 
 def joint_regressor(points: Float[ndarray, "V 3"], groups: dict[str, Int[ndarray, " R"]]) -> Float[ndarray, "J V"]:
-    """For every joint, the smallest change of a plain mean over a vertex set that hits the joint exactly."""
+    """For every joint, the weights closest to the plain mean of a vertex set that reproduce the joint exactly."""
     skin = points[groups["skin"]]
     supports = (
         groups["skin"][skin[:, 1] < -0.125],
@@ -90,7 +90,7 @@ def eyelid_basis(
     """Displacement that closes the left and the right lid, m.
 
     The margins of both lids move onto one closing line, 30 % of the way up from the lower lid, on a sphere just
-    outside the eyeball; the skin around follows with a falloff.
+    outside the eyeball; the surrounding skin follows with a Gaussian falloff.
     """
     basis = np.zeros((len(points), 3, 2))
     for side, loop in enumerate(loops):
@@ -106,8 +106,8 @@ def eyelid_basis(
 
 
 def _closing(local: ndarray, upper: ndarray, lower: ndarray) -> ndarray:
-    """Displacement of skin points relative to the eye's centre, given both margins' heights above each point's x."""
-    line = lower + _CLOSED_SHARE * (upper - lower)
+    """Displacement of skin points relative to the eye's center, given the height of both margins at each point's x."""
+    line = lower + _CLOSING_LINE_HEIGHT * (upper - lower)
     above = local[:, 1] >= 0.5 * (upper + lower)
     margin = np.where(above, upper, lower)
     distance = np.abs(local[:, 1] - margin)

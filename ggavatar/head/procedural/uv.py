@@ -1,6 +1,6 @@
-"""Texture layout: the skin as a cylinder above, islands for the other pieces below.
+"""Texture layout of the procedural head: the skin as a cylinder at the top, islands for the other parts below.
 
-U to the right, v upward, both in [0, 1].
+Texture coordinates are in [0, 1], u to the right and v upward.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _SKIN_LOW, _SKIN_MARGIN = 0.22, 0.03
 
 @dataclass(frozen=True)
 class _Island:
-    """A rectangle of the texture: left, bottom, width, height; which coordinates of the piece run along u and v."""
+    """A rectangle of the texture (left, bottom, width, height), and the axes of the part that run along u and v."""
 
     box: tuple[float, float, float, float]
     axes: tuple[int, int]
@@ -37,9 +37,9 @@ _ISLANDS = {
 def unwrap(
     points: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], groups: dict[str, Int[ndarray, " R"]]
 ) -> Float[ndarray, "F 3 2"]:
-    """Texture coordinates of every corner. The skin's seam runs down the back.
+    """Texture coordinates of every face corner.
 
-    Pieces with two sides have them on top of each other.
+    The skin's seam runs down the back. Front and back of the other parts share their texels.
     """
     angle = np.arctan2(points[:, 0], points[:, 2] + 0.030) / (2 * np.pi)
     height = _skin_height(points)
@@ -60,10 +60,7 @@ def unwrap(
 
 
 def _skin_height(points: ndarray) -> ndarray:
-    """Height along the profile in [0, 1]: angle above the ears on the dome, metres below.
-
-    The two meet smoothly enough for texels.
-    """
+    """Height in the texture in [0, 1], measured along the profile: by angle on the dome of the skull, by y below it."""
     radius = np.hypot(points[:, 0], points[:, 2] + 0.030)
     dome = 0.045 + 0.085 * np.arctan2(np.maximum(points[:, 1] - 0.045, 0.0), radius)
     run = np.where(points[:, 1] > 0.045, dome, points[:, 1])

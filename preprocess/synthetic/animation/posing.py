@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural.expression import lower_share
+from ggavatar.head.procedural.expression import lower_lip_weight
 from ggavatar.head.procedural.model import procedural_names
 from preprocess.synthetic.animation.performance import Performance
 from preprocess.synthetic.person.character import Character
@@ -80,7 +80,7 @@ def sticky_lips(head: HeadModel, generic: Float[ndarray, "V 3"]) -> StickyLips:
     skin = np.concatenate((head.regions["skin"].numpy(), head.regions["mouth_bag"].numpy()))
     near = skin[np.abs(generic[skin] - generic[loop].mean(axis=0)).max(axis=1) < 0.030]
     away, pair = cKDTree(generic[upper]).query(generic[near])
-    below = lower_share(generic[near]) > 0.5
+    below = lower_lip_weight(generic[near]) > 0.5
     below |= np.isin(near, lower)
     below &= ~np.isin(near, upper)
     weight = np.exp(-((away / 0.0032) ** 2)) * np.where(below, -1.0, 1.0)

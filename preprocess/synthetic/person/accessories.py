@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from ggavatar.head.procedural.parts import Part, grid_faces
-from ggavatar.head.procedural.surface import EYE_CENTER, SKULL, cast
+from ggavatar.head.procedural.surface import EYE_CENTER, SKULL, cast_rays
 
 _LENS_Z, _TUBE = 0.0560, 0.0013
 
@@ -91,7 +91,7 @@ def beanie() -> tuple[Part, Float[ndarray, "V 2"]]:
     direction = np.stack(
         (np.cos(elevation) * np.sin(heading), np.sin(elevation), np.cos(elevation) * np.cos(heading)), axis=-1
     )
-    skull = cast(direction.reshape(-1, 3), SKULL).reshape(levels, around + 1, 3)
+    skull = cast_rays(direction.reshape(-1, 3), SKULL).reshape(levels, around + 1, 3)
     outwards = skull - (0.0, 0.03, -0.035)
     outwards /= np.linalg.norm(outwards, axis=-1, keepdims=True)
     brim = np.interp(rise, [0.0, 0.02, 0.05, 0.25, 0.30, 0.34], [0.004, 0.0085, 0.0125, 0.0130, 0.0115, 0.0085])

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from ggavatar.head.procedural.surface import CHEEKS, JAW, NECK, SKULL, Blob, skin_distance
+from ggavatar.head.procedural.surface import CHEEKS, JAW, NECK, SKULL, Primitive, skin_distance
 from preprocess.synthetic.person.description import HairStyle
 from preprocess.synthetic.person.skin_paint import scalp_coverage
 from preprocess.synthetic.person.texture_space import noise
@@ -17,8 +17,8 @@ from preprocess.synthetic.person.texture_space import noise
 NODES = 14
 """Nodes per strand."""
 _SHOULDERS = (
-    Blob((0.030, -0.150, -0.060), (0.165, -0.190, -0.055), (0.034, 0.042), 0.03),
-    Blob((0.0, -0.260, -0.050), (0.0, -0.300, -0.050), (0.080, 0.090), 0.03, (1.9, 1.0, 1.0)),
+    Primitive((0.030, -0.150, -0.060), (0.165, -0.190, -0.055), (0.034, 0.042), 0.03),
+    Primitive((0.0, -0.260, -0.050), (0.0, -0.300, -0.050), (0.080, 0.090), 0.03, (1.9, 1.0, 1.0)),
 )
 _OBSTACLES = (*SKULL, *NECK, *JAW, *CHEEKS, *_SHOULDERS)
 

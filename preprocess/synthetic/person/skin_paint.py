@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
-from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, slit_height
+from ggavatar.head.procedural.skin import MOUTH_HALF_WIDTH, lid_curve, lip_line_height
 from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS
 from preprocess.synthetic.person.description import Person
 from preprocess.synthetic.person.texture_space import Texels, mirrored_gaussian, noise, smoothstep
@@ -68,7 +68,7 @@ def vermilion(points: Float[ndarray, "N 3"]) -> Float[ndarray, " N"]:
     """1 on the red of the lips, 0 on skin, with a soft border and a Cupid's bow."""
     x = np.abs(points[:, 0])
     across = np.clip(x / (MOUTH_HALF_WIDTH + 0.0005), 0, 1)
-    height = points[:, 1] - slit_height(points[:, 0])
+    height = points[:, 1] - lip_line_height(points[:, 0])
     bow = (
         0.0066 * (1 - across**2.2)
         - 0.0016 * np.exp(-((x / 0.0030) ** 2))

@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural.skin import slit_height
+from ggavatar.head.procedural.skin import lip_line_height
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.geometry import landmark_topology as topology
 
@@ -118,7 +118,9 @@ def _lip_outline(face: CanonicalFace) -> tuple[np.ndarray, np.ndarray]:
     across = outline[:, 0] / outline[:, 0].max()
     heights = np.where(outline[:, 1] > outline[np.argmax(across), 1], *LIP_HEIGHTS) * (1 - np.abs(across) ** 2.5)
     x = LIP_HALF_WIDTH * across
-    return landmarks, np.stack((x, slit_height(x) + heights, np.full(len(x), LIP_DEPTH) - 0.011 * across**2), axis=1)
+    return landmarks, np.stack(
+        (x, lip_line_height(x) + heights, np.full(len(x), LIP_DEPTH) - 0.011 * across**2), axis=1
+    )
 
 
 def skin_faces(head: HeadModel) -> Int[np.ndarray, "F 3"]:

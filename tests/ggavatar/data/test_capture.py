@@ -67,7 +67,7 @@ def a_capture(folder, **changes) -> Capture:
     return dataclasses.replace(capture, **changes)
 
 
-def pictures_of(numbers):
+def images_of(numbers):
     for number in numbers:
         image = np.full((12, 16, 3), number * 10, np.uint8)
         image[0, 0] = [255, 128, 7]
@@ -77,7 +77,7 @@ def pictures_of(numbers):
 @pytest.fixture
 def folder(tmp_path):
     target = tmp_path / "cap"
-    a_capture(target).write(pictures_of(NUMBERS), head_arrays())
+    a_capture(target).write(images_of(NUMBERS), head_arrays())
     return target
 
 
@@ -199,7 +199,7 @@ def test_missing_head_array(folder, name):
 
 
 @pytest.mark.parametrize("kind", ["images", "masks"])
-def test_wrong_pictures(folder, kind):
+def test_wrong_images(folder, kind):
     path = folder / kind / "000007.png"
     original = path.read_bytes()
     path.unlink()
@@ -253,8 +253,8 @@ def test_no_folder_at_all(tmp_path):
 
 def test_writing_never_touches_an_existing_folder(folder):
     before = sorted(path.name for path in folder.rglob("*"))
-    with pytest.raises(InputError, match="exists already"):
-        a_capture(folder).write(pictures_of(NUMBERS), head_arrays())
+    with pytest.raises(InputError, match="already exists"):
+        a_capture(folder).write(images_of(NUMBERS), head_arrays())
     assert sorted(path.name for path in folder.rglob("*")) == before
 
 
@@ -278,7 +278,7 @@ def test_full_disk_leaves_nothing(tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(atomic.os, "replace", failing(stop))
             with pytest.raises(OSError, match="No space left"):
-                a_capture(tmp_path / "cap").write(pictures_of(NUMBERS), head_arrays())
+                a_capture(tmp_path / "cap").write(images_of(NUMBERS), head_arrays())
         assert list(tmp_path.iterdir()) == []
         calls += 1
     assert calls == 11
@@ -332,7 +332,7 @@ def test_npz_refuses_objects_bombs_and_lies(tmp_path, monkeypatch):
         npz_headers(path)
 
 
-def test_huge_pictures_are_refused_before_decoding(tmp_path):
+def test_huge_images_are_refused_before_decoding(tmp_path):
     path = tmp_path / "huge.png"
     write_png(path, np.zeros((4, 4), np.uint8))
     data = bytearray(path.read_bytes())
@@ -342,8 +342,8 @@ def test_huge_pictures_are_refused_before_decoding(tmp_path):
         read_gray(path)
 
 
-def test_pictures_of_other_kinds(tmp_path):
-    """16-bit, with transparency, grey, JPEG; reference: the values written by OpenCV."""
+def test_images_of_other_kinds(tmp_path):
+    """16-bit, with transparency, gray, JPEG; reference: the values written by OpenCV."""
     import cv2
 
     deep = np.full((4, 6), 65535 // 2, np.uint16)

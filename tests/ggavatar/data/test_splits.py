@@ -51,10 +51,10 @@ def test_unknown_rules(rule):
         ('{"train": [0, 1], "test": [2]}', None),
         ('{"train": [0, 1], "test": [1]}', "both lists"),
         ('{"train": [0, 11], "test": [1]}', r"\[11\]"),
-        ('{"train": [], "test": [1]}', "none at all"),
-        ('{"train": [true], "test": [1]}', "must list frames"),
+        ('{"train": [], "test": [1]}', "found none"),
+        ('{"train": [true], "test": [1]}', "to list frames"),
         ('{"train": [0]}', "expected JSON"),
-        ("[[[[", "expected JSON"),
+        ("[[[[", "not valid JSON"),
         ('{"train": 5, "test": 6}', "expected JSON"),
     ],
 )
@@ -70,5 +70,5 @@ def test_files(tmp_path, content, message):
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match="no such split file"):
+    with pytest.raises(InputError, match="no such file"):
         split_frames(range(10), f"file:{tmp_path / 'absent.json'}")

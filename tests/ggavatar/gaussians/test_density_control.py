@@ -12,10 +12,10 @@ from ggavatar.gaussians.density_control import (
     DensityControl,
     accumulate,
     grow,
+    keep_last_per_face,
     mean_gradients,
     prune,
     reset_opacity,
-    spare_last,
     split,
     statistics,
 )
@@ -94,7 +94,7 @@ def test_children_spread_as_their_parent_does() -> None:
 
 
 @pytest.mark.parametrize(
-    ("face", "doomed", "expected"),
+    ("face", "to_prune", "expected"),
     [
         ([0, 0, 1], [1, 0, 0], [1, 0, 0]),
         ([0, 0, 1], [1, 1, 0], [0, 0, 0]),
@@ -102,8 +102,8 @@ def test_children_spread_as_their_parent_does() -> None:
         ([0, 0, 1, 1, 1], [1, 1, 1, 1, 0], [0, 0, 1, 1, 0]),
     ],
 )
-def test_a_face_is_never_left_bare(face: list[int], doomed: list[int], expected: list[int]) -> None:
-    result = spare_last(torch.tensor(doomed, dtype=torch.bool), torch.tensor(face))
+def test_a_face_keeps_its_last_row(face: list[int], to_prune: list[int], expected: list[int]) -> None:
+    result = keep_last_per_face(torch.tensor(to_prune, dtype=torch.bool), torch.tensor(face))
     assert result.tolist() == [bool(value) for value in expected]
 
 

@@ -1,4 +1,4 @@
-"""First colours against weights computed pixel by pixel from the reference rasteriser's own pictures."""
+"""Initial colors against weights computed pixel by pixel from the reference rasterizer's renderings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def blobs() -> Gaussians:
 
 
 def weights(index: int) -> torch.Tensor:
-    """How much a Gaussian contributes to every pixel: what is drawn if it alone is white."""
+    """How much a Gaussian contributes to every pixel: what is rendered if only it is white."""
     colors = torch.zeros(4, 3)
     colors[index] = 1.0
     return rasterize(dataclasses.replace(blobs(), colors=colors), CAMERA, torch.zeros(3)).image[..., :1]

@@ -13,7 +13,7 @@ from ggavatar.geometry.transforms import axis_angle_to_matrix, quaternion_to_mat
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.head.triangle_skinning import FaceSkin, blended
+from ggavatar.head.triangle_skinning import FaceSkinning, blend_rotations
 
 
 @pytest.fixture
@@ -36,22 +36,22 @@ def posed(head: HeadModel) -> Drive:
 
 
 def test_centroids_move_as_those_of_the_skinned_mesh(head: HeadModel) -> None:
-    motion = FaceSkin.of(head).motion(head, posed(head))
+    transforms = FaceSkinning.of(head).transforms(head, posed(head))
     neutral = triangle_frames(head.template, head.faces).centers
     wanted = triangle_frames(head.vertices(posed(head)), head.faces).centers
-    got = (motion.linear @ neutral[:, :, None]).squeeze(-1) + motion.offset
+    got = (transforms.linear @ neutral[:, :, None]).squeeze(-1) + transforms.offset
     assert torch.allclose(got, wanted, atol=1e-9)
 
 
 def test_faces_of_one_joint_turn_with_it(head: HeadModel) -> None:
-    skin, drive = FaceSkin.of(head).with_rigid([1, 2]), posed(head)
-    motion = skin.motion(head, drive)
+    skin, drive = FaceSkinning.of(head).with_rigid_faces([1, 2]), posed(head)
+    transforms = skin.transforms(head, drive)
     turns, shifts = head.joint_transforms(drive)
     for row, joint in ((-2, 1), (-1, 2)):
-        assert torch.allclose(motion.linear[row], turns[joint])
-        assert torch.allclose(motion.offset[row], shifts[joint] + drive.translation)
-        assert torch.allclose(quaternion_to_matrix(motion.quats[row]), turns[joint], atol=1e-9)
-    assert len(motion.linear) == len(head.faces) + 2
+        assert torch.allclose(transforms.linear[row], turns[joint])
+        assert torch.allclose(transforms.offset[row], shifts[joint] + drive.translation)
+        assert torch.allclose(quaternion_to_matrix(transforms.quats[row]), turns[joint], atol=1e-9)
+    assert len(transforms.linear) == len(head.faces) + 2
 
 
 def test_held_torso_is_that_of_the_mesh(head: HeadModel) -> None:
@@ -60,16 +60,16 @@ def test_held_torso_is_that_of_the_mesh(head: HeadModel) -> None:
     drive = dataclasses.replace(drive, head_to_camera=turned)
     poses = HeadPoses.of(head, [head.neutral_drive()])
     wanted = triangle_frames(poses.hold_torso(head.template, drive, head), head.faces).centers
-    skin = FaceSkin.of(head)
-    motion = skin.hold(skin.motion(head, drive), torch.linalg.inv(turned) @ poses.reference, 0)
+    skin = FaceSkinning.of(head)
+    transforms = skin.hold_torso(skin.transforms(head, drive), torch.linalg.inv(turned) @ poses.reference, 0)
     neutral = triangle_frames(head.template, head.faces).centers
-    got = (motion.linear @ neutral[:, :, None]).squeeze(-1) + motion.offset
+    got = (transforms.linear @ neutral[:, :, None]).squeeze(-1) + transforms.offset
     assert torch.allclose(got, wanted, atol=1e-9)
 
 
 def test_blended_rotations_lie_between() -> None:
     """Halves of two turns about one axis: half the angle (scipy); all of one: that one."""
     turns = torch.from_numpy(Rotation.from_rotvec([[0, 0.2, 0], [0, 1.0, 0]]).as_matrix())
-    quats = blended(torch.tensor([[0.5, 0.5], [0.0, 1.0]]).double(), turns)
+    quats = blend_rotations(torch.tensor([[0.5, 0.5], [0.0, 1.0]]).double(), turns)
     wanted = torch.from_numpy(Rotation.from_rotvec([[0, 0.6, 0], [0, 1.0, 0]]).as_matrix())
     assert torch.allclose(quaternion_to_matrix(quats), wanted, atol=1e-9)

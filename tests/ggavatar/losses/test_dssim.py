@@ -13,7 +13,7 @@ SIZES = [(64, 48), (150, 37), (5, 3), (1, 1), (129, 20)]
 """Height and width; smaller than the window, and across the border of a stripe."""
 
 
-def pictures(height: int, width: int, dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Tensor]:
+def image_pair(height: int, width: int, dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(height * 1000 + width)
     target = torch.rand(height, width, 3, generator=generator, dtype=torch.float64)
     image = (target + 0.2 * torch.randn(height, width, 3, generator=generator, dtype=torch.float64)).clamp(0, 1)
@@ -26,7 +26,7 @@ def relative(ours: torch.Tensor, reference: torch.Tensor) -> float:
 
 @pytest.mark.parametrize("size", SIZES)
 def test_compiled_value_and_gradient_equal_float64_autograd(size: tuple[int, int]) -> None:
-    image, target = pictures(*size)
+    image, target = image_pair(*size)
     image.requires_grad_()
     reference = image.detach().double().requires_grad_()
     value = dssim(image, DssimTarget.of(target))
@@ -40,12 +40,12 @@ def test_compiled_value_and_gradient_equal_float64_autograd(size: tuple[int, int
 
 def test_interior_equals_scikit_image() -> None:
     """Zero padding differs from scikit-image's border only: the maps agree where the window lies inside."""
-    image, target = pictures(40, 50, torch.float64)
+    image, target = image_pair(40, 50, torch.float64)
     _, expected = structural_similarity(
         image.numpy(), target.numpy(), gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
         data_range=1.0, channel_axis=-1, full=True,
     )  # fmt: skip
-    # Zeros around the pictures make scikit-image see what zero padding sees.
+    # Zeros around the images make scikit-image equal to zero padding.
     padded_image, padded_target = torch.zeros(60, 70, 3).double(), torch.zeros(60, 70, 3).double()
     padded_image[10:50, 10:60], padded_target[10:50, 10:60] = image, target
     _, zero_padded = structural_similarity(
@@ -58,7 +58,7 @@ def test_interior_equals_scikit_image() -> None:
 
 
 def test_identical_images_cost_nothing_and_push_nowhere() -> None:
-    image, _ = pictures(64, 64)
+    image, _ = image_pair(64, 64)
     image.requires_grad_()
     value = dssim(image, image.detach())
     value.backward()
@@ -67,13 +67,13 @@ def test_identical_images_cost_nothing_and_push_nowhere() -> None:
 
 
 def test_gradcheck_of_the_twin() -> None:
-    image, target = pictures(3, 4, torch.float64)
+    image, target = image_pair(3, 4, torch.float64)
     kept = DssimTarget.of(target)
     assert torch.autograd.gradcheck(lambda x: dssim_in_torch(x, kept), image.requires_grad_())
 
 
 def test_kept_target_equals_plain_target_and_twin() -> None:
-    image, target = pictures(64, 48)
+    image, target = image_pair(64, 48)
     kept, wide = DssimTarget.of(target), DssimTarget.of(target.double())
     assert dssim(image, kept).item() == dssim(image, target).item()
     assert relative(kept.mean, wide.mean) < 1e-6 and relative(kept.square_mean, wide.square_mean) < 1e-6
@@ -86,7 +86,7 @@ def test_same_bits_for_any_number_of_threads(threads: int) -> None:
     try:
         for count in (1, threads):
             torch.set_num_threads(count)
-            image, target = pictures(300, 64)
+            image, target = image_pair(300, 64)
             image.requires_grad_()
             value = dssim(image, target)
             value.backward()
@@ -98,7 +98,7 @@ def test_same_bits_for_any_number_of_threads(threads: int) -> None:
 
 
 def test_no_gradient_without_need_and_other_channel_counts_use_the_twin() -> None:
-    image, target = pictures(20, 20)
+    image, target = image_pair(20, 20)
     assert not dssim(image, target).requires_grad
     grey = dssim(image[..., :1].requires_grad_(), target[..., :1])
     assert grey.item() == pytest.approx(
@@ -107,7 +107,7 @@ def test_no_gradient_without_need_and_other_channel_counts_use_the_twin() -> Non
 
 
 def test_non_contiguous_images() -> None:
-    image, target = pictures(32, 32)
+    image, target = image_pair(32, 32)
     turned = image.permute(1, 0, 2).requires_grad_()
     dssim(turned, target).backward()
     plain = turned.detach().contiguous().requires_grad_()

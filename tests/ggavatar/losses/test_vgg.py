@@ -25,7 +25,7 @@ def without_models(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
 
 
-def pictures(side: int = 40) -> tuple[Tensor, Tensor]:
+def image_pair(side: int = 40) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(1)
     return torch.rand(side, side, 3, generator=generator), torch.rand(side, side, 3, generator=generator)
 
@@ -47,7 +47,7 @@ def network(state: dict[str, Tensor]) -> list[nn.Sequential]:
 
 @pytest.mark.usefixtures("without_models")
 def test_equals_a_network_of_torch_layers() -> None:
-    image, target = pictures()
+    image, target = image_pair()
     loss = perceptual_loss(seed=3)
     mean, deviation = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
     ours, theirs = (((x - mean) / deviation).permute(2, 0, 1)[None] for x in (image, target))
@@ -61,7 +61,7 @@ def test_equals_a_network_of_torch_layers() -> None:
 
 @pytest.mark.usefixtures("without_models")
 def test_gradient_reaches_the_image_only_and_kept_features_are_as_good() -> None:
-    image, target = pictures()
+    image, target = image_pair()
     loss = perceptual_loss()
     image.requires_grad_()
     target.requires_grad_()
@@ -95,13 +95,13 @@ def test_first_two_blocks_are_named_as_such() -> None:
     loss = perceptual_loss(path.parent)
     if loss.name == "vgg16-relu4_3":
         pytest.skip("the whole of VGG16 is here, which is preferred")
-    assert loss.name == "vgg16-relu2_2" and len(loss.features(pictures()[0])) == 2
+    assert loss.name == "vgg16-relu2_2" and len(loss.features(image_pair()[0])) == 2
     kernel = load_weights(path)["features.0.weight"]
     assert kernel.shape == (64, 3, 3, 3)
 
 
 def test_random_weights_keep_the_scale_through_the_blocks() -> None:
-    maps = PerceptualLoss("random-vgg", random_weights(0)).features(pictures(64)[0])
+    maps = PerceptualLoss("random-vgg", random_weights(0)).features(image_pair(64)[0])
     sizes = [float(block.square().mean()) for block in maps]
     assert all(0.1 < size / sizes[0] < 10 for size in sizes[1:])
 

@@ -23,7 +23,7 @@ def method_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
     """Its name; it is one file of its own, as a user would save it."""
     import ggavatar.methods
 
-    (name,) = re.findall(r"saved as `ggavatar/methods/(\w+)\.py`", PAGE.read_text())
+    (name,) = re.findall(r"Saved as `ggavatar/methods/(\w+)\.py`", PAGE.read_text())
     source = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[-1]
     (tmp_path / f"{name}.py").write_text(source)
     monkeypatch.setattr(registry, "METHODS_FOLDER", tmp_path)

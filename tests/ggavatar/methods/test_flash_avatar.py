@@ -22,13 +22,13 @@ from ggavatar.head.procedural.model import procedural_head
 from ggavatar.losses.terms import huber
 from ggavatar.methods.flash_avatar import (
     FLAME_COVERAGE,
-    ITERATIONS,
+    PAPER_ITERATIONS,
     Config,
     FlashAvatar,
+    apply_offsets,
     build,
-    encoded,
-    moved,
-    spacing,
+    neighbor_distance,
+    positional_encoding,
 )
 from ggavatar.optim.schedules import scaled
 from ggavatar.training import registry
@@ -62,12 +62,12 @@ def test_authors_numbers_are_the_paper_preset() -> None:
     assert (config.opacity_rate, config.color_rate, config.sh_iterations) == (0.05, 2.5e-3, 500)
     assert (config.huber_delta, config.mouth_weight, config.perceptual_iterations) == (0.1, 40, 15_000)
     assert registry.load("flash_avatar_uv_256").config("paper").texels == 256
-    assert scaled(15_000, 1_500, ITERATIONS) == 150 and scaled(500, 150_000, ITERATIONS) == 500
+    assert scaled(15_000, 1_500, PAPER_ITERATIONS) == 150 and scaled(500, 150_000, PAPER_ITERATIONS) == 500
 
 
 def test_encoding_is_raw_and_sines_of_powers_of_two_without_pi() -> None:
     points = drawn(4, 3)
-    found = encoded(points, 8)
+    found = positional_encoding(points, 8)
     assert found.shape == (4, 51) and torch.equal(found[:, :3], points)
     for octave in range(8):
         for axis in range(3):
@@ -78,7 +78,7 @@ def test_encoding_is_raw_and_sines_of_powers_of_two_without_pi() -> None:
 
 def test_moved_follows_the_formulas_row_by_row() -> None:
     places, quats, logs, offsets = drawn(6, 3), drawn(6, 4), drawn(6, 3) * 3 - 5, drawn(6, 10)
-    means, turned, scales = moved(places, quats, logs, offsets)
+    means, turned, scales = apply_offsets(places, quats, logs, offsets)
     for row in range(6):
         o = offsets[row].tolist()
         assert torch.allclose(means[row], places[row] + torch.tensor(o[:3]).double())
@@ -89,16 +89,16 @@ def test_moved_follows_the_formulas_row_by_row() -> None:
         )
         assert torch.allclose(quaternion_to_matrix(turned[row]), base @ turn, atol=1e-12)
     assert torch.allclose(turned.norm(dim=-1), torch.ones(6).double())
-    still = moved(places, turned, logs, torch.zeros(6, 10).double())
+    still = apply_offsets(places, turned, logs, torch.zeros(6, 10).double())
     assert torch.equal(still.means, places) and torch.allclose(still.quats, turned)
     assert torch.allclose(still.scales, logs.exp())
 
 
 def test_spacing_of_a_line_by_hand() -> None:
-    found = spacing(torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [6, 0, 0]]))
+    found = neighbor_distance(torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [6, 0, 0]]))
     expected = [(1 + 9 + 36) / 3, (1 + 4 + 25) / 3, (4 + 9 + 9) / 3, (9 + 25 + 36) / 3]
     assert torch.allclose(found, torch.tensor(expected).sqrt())
-    assert torch.allclose(spacing(torch.zeros(5, 3)), torch.tensor(1e-7).sqrt())
+    assert torch.allclose(neighbor_distance(torch.zeros(5, 3)), torch.tensor(1e-7).sqrt())
 
 
 def test_first_avatar_is_the_codes(avatar: FlashAvatar, scene: Scene) -> None:
@@ -110,20 +110,20 @@ def test_first_avatar_is_the_codes(avatar: FlashAvatar, scene: Scene) -> None:
     assert torch.equal(rows["quats"], torch.tensor([1.0, 0, 0, 0]).expand(len(rows), 4))
     places = avatar._samples().points(scene.head.vertices(drive), scene.head.faces)
     assert 0.005 < (posed.means - places).norm(dim=-1).mean() < 0.5
-    assert torch.allclose(rows["log_scales"], spacing(posed.means).log()[:, None].expand(-1, 3), atol=1e-5)
+    assert torch.allclose(rows["log_scales"], neighbor_distance(posed.means).log()[:, None].expand(-1, 3), atol=1e-5)
 
 
 def test_gaussians_are_the_networks_outputs_on_the_mesh(avatar: FlashAvatar, scene: Scene) -> None:
     """The whole forward in float64, written out."""
     drive, rows, head = scene.drives[7], avatar.rows, scene.head
     neutral = avatar._samples().points(head.neutral(), head.faces)
-    inputs = torch.cat((encoded(neutral, 8), head.condition(drive).expand(len(rows), -1)), dim=1).double()
+    inputs = torch.cat((positional_encoding(neutral, 8), head.condition(drive).expand(len(rows), -1)), dim=1).double()
     for layer in avatar.network.layers[:-1]:
         inputs = torch.relu(inputs @ layer.weight.double().T + layer.bias.double())
     end = avatar.network.layers[-1]
     offsets = torch.tanh(inputs @ end.weight.double().T + end.bias.double())
     places = avatar._samples().points(head.vertices(drive), head.faces).double()
-    expected = moved(places, rows["quats"].double(), rows["log_scales"].double(), offsets)
+    expected = apply_offsets(places, rows["quats"].double(), rows["log_scales"].double(), offsets)
     posed = avatar.gaussians(drive)
     assert torch.allclose(posed.means.double(), expected.means, atol=1e-6)
     assert torch.allclose(posed.scales.double(), expected.scales, rtol=1e-4)
@@ -154,7 +154,7 @@ def test_losses_weigh_the_mouth_forty_times(avatar: FlashAvatar) -> None:
     difference = (rendering.image - frame.image).double().abs()
     each = torch.where(difference < 0.1, difference.square() / 2, 0.1 * (difference - 0.05))
     assert terms["huber"].item() == pytest.approx(each.mean().item(), rel=1e-5)
-    mask = avatar._mouth(frame)
+    mask = avatar._mouth_mask(frame)
     assert 5 < mask.sum() < 48 * 48 / 4
     assert terms["mouth"].item() == pytest.approx(40 * (each * mask).mean().item(), rel=1e-5)
     assert huber(rendering.image, rendering.image, 0.1) == 0
@@ -167,7 +167,7 @@ def test_mouth_is_the_outline_of_the_projected_lips(scene: Scene) -> None:
     avatar = build(Config(texels=16), dataclasses.replace(scene, head=head, drives=(drive,)))
     camera = dataclasses.replace(scene.cameras[0].resized(256, 256))
     frame = Frame(drive, camera, torch.zeros(256, 256, 3), torch.ones(256, 256, 1))
-    mask = avatar._mouth(frame)[:, :, 0]
+    mask = avatar._mouth_mask(frame)[:, :, 0]
     seen = project(head.template, camera.intrinsics, camera.world_to_camera)
     rows, columns = mask.nonzero().unbind(-1)
     lips, nose = seen[head.regions["lips"]], seen[head.regions["nose"]]

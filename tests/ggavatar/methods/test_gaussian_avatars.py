@@ -16,8 +16,8 @@ from ggavatar.data.scene import Scene
 from ggavatar.gaussians.density_control import split
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_avatars import (
-    OWN,
-    SEED,
+    GGAVATAR_SCHEDULE,
+    OWN_SCHEDULE,
     Config,
     GaussianAvatars,
     build,
@@ -104,7 +104,7 @@ def test_objective_by_hand(toy_capture: Capture, toy_head: HeadModel) -> None:
 
 
 def test_own_schedule_is_the_default_and_scales(toy_capture: Capture, toy_head: HeadModel) -> None:
-    assert all(getattr(Config(), name) == value for name, value in OWN.items())
+    assert all(getattr(Config(), name) == value for name, value in OWN_SCHEDULE.items())
     full = density_control(Config(), scene_of(toy_capture, toy_head))
     assert (full.start, full.stop, full.interval, full.reset_interval) == (10_000, 600_000, 2_000, 60_000)
     assert full.resetting and full.gradient == 2e-4 and full.split_in == "local"
@@ -122,9 +122,9 @@ def test_paper_preset_is_the_seed_papers_schedule(toy_capture: Capture, toy_head
     assert (control.start, control.stop, control.interval, control.reset_interval) == (500, 60_000, 100, 3_000)
     assert config.perceptual_share * 120_000 == pytest.approx(5_000)
     for name, preset, wanted in (
-        ("", "default", OWN),
-        ("_own_schedule", "paper", OWN),
-        ("_seed_schedule", "fast", SEED),
+        ("", "default", OWN_SCHEDULE),
+        ("_own_schedule", "paper", OWN_SCHEDULE),
+        ("_seed_schedule", "fast", GGAVATAR_SCHEDULE),
     ):
         config = registry.load(f"gaussian_avatars{name}").config(preset)
         assert {field: getattr(config, field) for field in wanted} == wanted

@@ -22,7 +22,7 @@ from ggavatar.methods.gaussian_blendshapes import (
     coefficient_spreads,
     density_control,
     position_rate,
-    strongest,
+    strongest_blendshapes,
 )
 
 
@@ -115,7 +115,7 @@ def test_evaluation_leaves_out_resting_rows_and_nothing_else(toy_capture: Captur
     with torch.no_grad():
         avatar.rows["differences"].normal_(generator=torch.Generator().manual_seed(0))
         trained, evaluated = avatar.gaussians(drive), avatar.eval().gaussians(drive)
-        assert avatar._kept is not None and 0 < len(avatar._kept[0]) < len(avatar.rows)
+        assert avatar._cached is not None and 0 < len(avatar._cached[0]) < len(avatar.rows)
         for field in ("means", "quats", "scales", "opacities", "colors"):
             assert torch.allclose(getattr(trained, field), getattr(evaluated, field), atol=1e-6), field
         avatar.train().rows["differences"].zero_()
@@ -139,13 +139,13 @@ def test_differences_step_by_their_rates(toy_capture: Capture, toy_head: HeadMod
 def test_strengths_follow_the_displacement_of_the_mesh() -> None:
     """max(d − t, 0) / (d_max − t), the strongest first, as few slots as there are moving blendshapes."""
     displacement = torch.tensor([[0.0, 1e-3, 0.0, 4e-3], [1e-6, 0.0, 0.0, 0.0], [0.0, 2e-3, 0.0, 0.0]])
-    slots, strengths = strongest(displacement, Config(consistency_threshold=0.01))
+    slots, strengths = strongest_blendshapes(displacement, Config(consistency_threshold=0.01))
     threshold = 0.01 * 4e-3
     assert slots.shape == (3, 2) and slots[0].tolist() == [3, 1] and slots[2, 0] == 1
     assert torch.allclose(strengths[0], torch.tensor([1.0, (1e-3 - threshold) / (4e-3 - threshold)]))
     assert not strengths[1].any() and strengths[2, 1] == 0
-    assert strongest(displacement, Config(blendshapes=1))[0].shape == (3, 1)
-    everything = strongest(displacement, Config(consistency=False))
+    assert strongest_blendshapes(displacement, Config(blendshapes=1))[0].shape == (3, 1)
+    everything = strongest_blendshapes(displacement, Config(consistency=False))
     assert everything[1].shape == (3, 4) and bool((everything[1] == 1).all())
 
 

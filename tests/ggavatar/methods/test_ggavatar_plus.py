@@ -1,4 +1,4 @@
-"""What ggavatar_plus adds: region and coverage terms by hand, colour rows that start as nothing."""
+"""What ggavatar_plus adds: region and coverage terms by hand, color rows that start as nothing."""
 
 from __future__ import annotations
 

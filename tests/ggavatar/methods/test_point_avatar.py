@@ -16,7 +16,15 @@ from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.model import HeadModel
 from ggavatar.io.json_files import write_json
 from ggavatar.losses.terms import l1
-from ggavatar.methods.point_avatar import PRESETS, UNIT, Config, PointAvatar, build, cloud_schedule, rasterizer
+from ggavatar.methods.point_avatar import (
+    PRESETS,
+    UNITS_PER_METER,
+    Config,
+    PointAvatar,
+    build,
+    cloud_schedule,
+    rasterizer,
+)
 from ggavatar.render.discs.values import DiscRendering, Discs
 from ggavatar.training.checkpoint import load_checkpoint
 from ggavatar.training.journal import read_journal
@@ -38,8 +46,8 @@ def avatar(toy_capture: Capture, toy_head: HeadModel) -> PointAvatar:
     return build(Config(**QUICK), scene_of(toy_capture, toy_head))
 
 
-def pictured(avatar: PointAvatar, drive: Drive) -> tuple[Frame, DiscRendering]:
-    """A drawing by the avatar of a white picture."""
+def rendered(avatar: PointAvatar, drive: Drive) -> tuple[Frame, DiscRendering]:
+    """A gray frame and its rendering by the avatar."""
     camera = avatar.scene.cameras[0]
     drawn = rasterizer("cpu")(avatar.gaussians(drive), camera, torch.ones(3))
     assert isinstance(drawn, DiscRendering)
@@ -59,15 +67,20 @@ def test_printed_numbers() -> None:
 
 def test_epochs_scale_with_the_training(toy_capture: Capture, toy_head: HeadModel) -> None:
     plan = cloud_schedule(Config(), scene_of(toy_capture, toy_head, 62_000))
-    assert (plan.epoch, plan.upsampling, plan.pruning, plan.most) == (1_000, 5, 1_000, 240_000)
+    assert (plan.steps_per_epoch, plan.upsampling_epochs, plan.pruning_steps, plan.max_points) == (
+        1_000,
+        5,
+        1_000,
+        240_000,
+    )
     short = cloud_schedule(Config(pruning_frames=100), scene_of(toy_capture, toy_head, 1_500))
-    assert short.epoch == 24 and short.pruning == 120
+    assert short.steps_per_epoch == 24 and short.pruning_steps == 120
     little = dataclasses.replace(scene_of(toy_capture, toy_head, 10), max_gaussians=900)
-    assert cloud_schedule(Config(), little).epoch == 1 and cloud_schedule(Config(), little).most == 900
+    assert cloud_schedule(Config(), little).steps_per_epoch == 1 and cloud_schedule(Config(), little).max_points == 900
 
 
 def test_terms_by_hand(avatar: PointAvatar) -> None:
-    frame, drawn = pictured(avatar, avatar.scene.drives[3])
+    frame, drawn = rendered(avatar, avatar.scene.drives[3])
     terms = avatar.losses(frame, drawn, 1)
     assert set(terms) == {"l1", "mask", "distance", "eikonal", "skinning", "correctives", "expressions"}
     assert torch.isclose(terms["l1"], l1(drawn.image, frame.image))
@@ -78,11 +91,11 @@ def test_terms_by_hand(avatar: PointAvatar) -> None:
     assert 0.05 * at_points < terms["eikonal"] < 0.05 * at_points + 0.05
     target = torch.full((6,), 1 / 6) - torch.cat((torch.zeros(1), avatar.head.skinning_weights[0]))
     assert 0.2 * target.square().mean() < terms["skinning"] < 5 * target.square().mean()
-    avatar.steps_done.fill_(10 * avatar.schedule.epoch)
-    pictured(avatar, avatar.scene.drives[3])
+    avatar.steps_done.fill_(10 * avatar.schedule.steps_per_epoch)
+    rendered(avatar, avatar.scene.drives[3])
     assert torch.isclose(avatar.losses(frame, drawn, 1)["skinning"], terms["skinning"] / 2)
-    avatar.steps_done.fill_(45 * avatar.schedule.epoch)
-    pictured(avatar, avatar.scene.drives[3])
+    avatar.steps_done.fill_(45 * avatar.schedule.steps_per_epoch)
+    rendered(avatar, avatar.scene.drives[3])
     assert torch.isclose(avatar.losses(frame, drawn, 1)["expressions"], terms["expressions"] / 16)
 
 
@@ -90,8 +103,8 @@ def test_losses_reach_everything_that_learns(avatar: PointAvatar) -> None:
     with torch.no_grad():
         for parameter in avatar.deformer.parameters():
             parameter += 0.02 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1))
-    avatar.steps_done.fill_(30 * avatar.schedule.epoch)
-    frame, drawn = pictured(avatar, avatar.scene.drives[3])
+    avatar.steps_done.fill_(30 * avatar.schedule.steps_per_epoch)
+    frame, drawn = rendered(avatar, avatar.scene.drives[3])
     torch.stack(list(avatar.losses(frame, drawn, 1).values())).sum().backward()
     silent = [name for name, value in avatar.named_parameters() if value.grad is None]
     assert not silent
@@ -103,7 +116,7 @@ def test_at_the_canonical_pose_points_are_at_home(avatar: PointAvatar) -> None:
     """Equal skinning would mix the joints; in the canonical pose only the still one differs from its home."""
     drive = dataclasses.replace(avatar.driver.canonical, head_to_camera=avatar.driver.poses.reference)
     found = avatar.gaussians(drive)
-    assert isinstance(found, Discs) and torch.allclose(found.means, avatar.cloud.points / UNIT, atol=1e-6)
+    assert isinstance(found, Discs) and torch.allclose(found.means, avatar.cloud.points / UNITS_PER_METER, atol=1e-6)
     assert found.radius == pytest.approx(0.16875) and found.colors.min() >= 0 and found.colors.max() <= 1
     assert 0.005 < float(found.scales[0, 0]) < 0.05
     moved = dataclasses.replace(drive, translation=torch.tensor([0.0, 0.1, 0.0]))
@@ -148,7 +161,7 @@ def test_only_training_frames_are_corrected_and_not_at_first(avatar: PointAvatar
     apart = (avatar.gaussians(drive).means - avatar.gaussians(new).means).norm(dim=1)
     assert (apart > 0.05).all()
     for epochs, learning in ((10, False), (11, True)):
-        avatar.steps_done.fill_(epochs * avatar.schedule.epoch)
+        avatar.steps_done.fill_(epochs * avatar.schedule.steps_per_epoch)
         assert avatar._corrected(drive).translation.requires_grad == learning
     assert build(Config(tracking_rate=0.0), avatar.scene).corrections is None
 
@@ -167,7 +180,7 @@ def test_evaluation_draws_what_training_draws(avatar: PointAvatar) -> None:
 def test_rate_falls_to_its_share(toy_capture: Capture, toy_head: HeadModel) -> None:
     avatar = build(Config(**QUICK, rate_left=0.1), scene_of(toy_capture, toy_head, 100))
     for step, rate in ((50, 1e-4 * 0.1**0.5), (100, 1e-5)):
-        _, drawn = pictured(avatar, avatar.scene.drives[0])
+        _, drawn = rendered(avatar, avatar.scene.drives[0])
         avatar.after_backward(drawn, step)
         rates = [group["lr"] for optimizer in avatar.optimizers()[:2] for group in optimizer.param_groups]
         assert rates == pytest.approx([rate, rate])

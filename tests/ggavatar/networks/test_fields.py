@@ -68,7 +68,7 @@ def test_compiled_look_up_and_gradient_equal_the_twin_in_float64(config: HashTri
     features = made(x)
     features.backward(upstream)
     tables = made.tables.detach().double().requires_grad_()
-    expected = lookup_in_torch(made.box.normalise(x).double(), tables, made.levels)
+    expected = lookup_in_torch(made.box.normalize(x).double(), tables, made.levels)
     expected.backward(upstream.double())
     assert made.tables.grad is not None and tables.grad is not None
     # The position within a cell is rounded to float32 at `finest` cells.
@@ -135,7 +135,7 @@ def test_box_around_points() -> None:
     """docs/paper.md, A10: 1.4 times the longest side of the bounds."""
     box = Box.around(torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.3, -0.2]]))
     assert box.center == pytest.approx((0.05, 0.15, -0.1)) and box.side == pytest.approx(0.42)
-    assert torch.allclose(box.normalise(torch.tensor([[0.05, 0.15, -0.1]])), torch.full((1, 3), 0.5))
+    assert torch.allclose(box.normalize(torch.tensor([[0.05, 0.15, -0.1]])), torch.full((1, 3), 0.5))
 
 
 def test_fourier_features_in_closed_form() -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ggavatar.networks.mlp import in_torch, perceptron
+from ggavatar.networks.mlp import perceptron, perceptron_in_torch
 
 SHAPES = [(200, 72, 64, 64, 10), (131, 63, 48, 33, 13), (65, 5, 16, 80, 26), (1, 3, 2, 1, 1), (2500, 18, 32, 32, 10)]
 """Rows, inputs, first and second hidden width, outputs."""
@@ -27,7 +27,7 @@ def test_equals_float64_autograd(shape: tuple[int, ...], every: int) -> None:
     upstream = torch.zeros(shape[0], shape[-1])
     upstream[::every] = torch.randn(upstream[::every].shape, generator=torch.Generator().manual_seed(1))
     result = perceptron(ours[0], *(tuple(ours[at : at + 2]) for at in (1, 3, 5)))
-    expected = in_torch(wide[0], *(tuple(wide[at : at + 2]) for at in (1, 3, 5)))
+    expected = perceptron_in_torch(wide[0], *(tuple(wide[at : at + 2]) for at in (1, 3, 5)))
     result.backward(upstream)
     expected.backward(upstream.double())
     assert (result - expected).norm() / expected.norm() < 1e-6

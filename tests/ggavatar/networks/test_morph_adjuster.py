@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.gaussians.offsets import Offsets, refine, refine_in_torch
+from ggavatar.gaussians.offsets import COLOR_ROWS, GEOMETRY_ROWS, Offsets, refine, refine_in_torch
 from ggavatar.geometry.transforms import quaternion_multiply, quaternion_to_matrix
 from ggavatar.networks.fields import Box, FourierFeatures, HashTriplane, HashTriplaneConfig
-from ggavatar.networks.morph_adjuster import COLOUR_ROWS, AdjusterConfig, BasisAdjuster
+from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 
 CONDITIONS, COUNT = 12, 300
 BOX = Box((0.0, 0.0, 0.0), 2.0)
@@ -52,7 +52,7 @@ def test_starts_as_the_identity_with_gradient_into_the_last_layer(kind: str) -> 
 
 
 @pytest.mark.parametrize("kind", ["triplane", "fourier"])
-@pytest.mark.parametrize("rows", [10, COLOUR_ROWS])
+@pytest.mark.parametrize("rows", [GEOMETRY_ROWS, GEOMETRY_ROWS + COLOR_ROWS])
 def test_contraction_equals_explicit_basis_times_latent(kind: str, rows: int) -> None:
     """Eq. 9–11: W·f with W built."""
     made, x, condition = adjuster(kind, replace(SIZES, rows=rows)), draw(COUNT, 3), draw(CONDITIONS)

@@ -1,4 +1,4 @@
-"""The canonical network: its closed-form gradient and its block-wise sweep against float64 autograd."""
+"""The canonical network: its closed-form gradient and its blockwise evaluation against float64 autograd."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from ggavatar.points.canonical import CanonicalNetwork
-from ggavatar.points.canonical_reference import CanonicalConfig, sweep_in_torch
-from ggavatar.points.canonical_sweep import BLOCK, sweep
+from ggavatar.points.canonical_blockwise import BLOCK, evaluate_surface
+from ggavatar.points.canonical_reference import CanonicalConfig, evaluate_surface_in_torch
 from ggavatar.points.layers import SHARPNESS, NormedLinear, encode, softplus
 
 SMALL = CanonicalConfig(width=64, hidden=6, skip=3, octaves=2)
@@ -35,7 +35,7 @@ def positions(count: int, dtype: torch.dtype) -> Tensor:
 @pytest.mark.parametrize("config", [SMALL, dataclasses.replace(SMALL, skip=0), CanonicalConfig()])
 def test_the_gradient_of_the_distance_is_exact(config: CanonicalConfig) -> None:
     x, tensors = positions(40, torch.float64).requires_grad_(), parameters(config, torch.float64)
-    values, gradient = sweep_in_torch(x, config, tensors)
+    values, gradient = evaluate_surface_in_torch(x, config, tensors)
     (expected,) = torch.autograd.grad(values[:, 0].sum(), x)
     assert torch.allclose(gradient, expected, atol=1e-10) and expected.norm(dim=1).min() > 1e-3
 
@@ -52,16 +52,16 @@ def loss_gradients(function: object, config: CanonicalConfig, dtype: torch.dtype
 
 @pytest.mark.parametrize("config", [SMALL, dataclasses.replace(SMALL, skip=0)])
 @pytest.mark.parametrize("first", [700, 5])
-def test_the_sweep_by_blocks_is_the_plain_one(config: CanonicalConfig, first: int) -> None:
-    expected = loss_gradients(sweep_in_torch, config, torch.float64, first)
+def test_evaluation_by_blocks_equals_the_plain_one(config: CanonicalConfig, first: int) -> None:
+    expected = loss_gradients(evaluate_surface_in_torch, config, torch.float64, first)
     for dtype, slack in ((torch.float64, 1e-10), (torch.float32, 2e-4)):
-        for ours, theirs in zip(loss_gradients(sweep, config, dtype, first), expected, strict=True):
+        for ours, theirs in zip(loss_gradients(evaluate_surface, config, dtype, first), expected, strict=True):
             assert (ours - theirs).norm() <= slack * theirs.norm()
 
 
 def test_hidden_layers_of_bfloat16_keep_two_digits() -> None:
-    expected = loss_gradients(sweep_in_torch, SMALL, torch.float64, 700)
-    fast = functools.partial(sweep, hidden_type=torch.bfloat16)
+    expected = loss_gradients(evaluate_surface_in_torch, SMALL, torch.float64, 700)
+    fast = functools.partial(evaluate_surface, hidden_type=torch.bfloat16)
     found = loss_gradients(fast, SMALL, torch.float32, 700)
     for ours, theirs in zip(found, expected, strict=True):
         assert 1e-5 * theirs.norm() < (ours - theirs).norm() <= 0.1 * theirs.norm()
@@ -80,7 +80,7 @@ def test_it_starts_as_a_sphere() -> None:
 def test_albedo_is_ten_times_as_steep_as_a_logistic_function() -> None:
     network = CanonicalNetwork(CanonicalConfig(), torch.Generator().manual_seed(0))
     x = positions(9, torch.float32)
-    values, _ = sweep_in_torch(x, network.config, parameters_of(network))
+    values, _ = evaluate_surface_in_torch(x, network.config, parameters_of(network))
     assert torch.allclose(network(x).albedo, torch.sigmoid(10 * values[:, 1:]), atol=1e-5)
 
 

@@ -11,9 +11,9 @@ from torch import Tensor
 from ggavatar.core import Drive
 from ggavatar.geometry.transforms import axis_angle_to_matrix
 from ggavatar.head.model import HeadModel
-from ggavatar.points.deformer import Motion, PointDeformer
+from ggavatar.points.deformer import PointDeformation, PointDeformer
 from ggavatar.points.rowwise import BLOCK, rowwise
-from ggavatar.points.skinning import Bones, deform, deformed_normals, inverse_3x3
+from ggavatar.points.skinning import BoneTransforms, deform, deformed_normals, inverse_3x3
 
 JOINTS, SHAPES = 4, 5
 
@@ -29,10 +29,10 @@ def deformer() -> PointDeformer:
     return made
 
 
-def random_bones(seed: int) -> Bones:
+def random_bones(seed: int) -> BoneTransforms:
     generator = torch.Generator().manual_seed(seed)
     rotations = axis_angle_to_matrix(0.5 * torch.randn(JOINTS, 3, generator=generator, dtype=torch.float64))
-    return Bones(rotations, 0.2 * torch.randn(JOINTS, 3, generator=generator, dtype=torch.float64))
+    return BoneTransforms(rotations, 0.2 * torch.randn(JOINTS, 3, generator=generator, dtype=torch.float64))
 
 
 def points(count: int) -> Tensor:
@@ -40,7 +40,7 @@ def points(count: int) -> Tensor:
 
 
 def posed(deformer: PointDeformer, x: Tensor, coefficients: Tensor) -> tuple[Tensor, Tensor]:
-    moved = deform(x, deformer.motion(deformer.features(x), coefficients), random_bones(1), random_bones(2))
+    moved = deform(x, deformer.deformation(deformer.features(x), coefficients), random_bones(1), random_bones(2))
     return moved.points, moved.tangents
 
 
@@ -72,7 +72,7 @@ def test_inverse() -> None:
 
 def test_the_contracted_basis_is_the_basis(deformer: PointDeformer) -> None:
     x, coefficients = points(6), torch.linspace(-1, 2, SHAPES, dtype=torch.float64)
-    motion, bases = deformer.motion(deformer.features(x), coefficients), deformer.bases(x)
+    motion, bases = deformer.deformation(deformer.features(x), coefficients), deformer.bases(x)
     assert torch.allclose(motion.correctives, torch.einsum("b,nbc->nc", coefficients, bases.blendshapes))
     assert torch.allclose(motion.weights, bases.weights) and torch.allclose(motion.offsets, bases.offsets)
     assert torch.allclose(bases.weights.sum(1), torch.ones(6, dtype=torch.float64))
@@ -99,13 +99,13 @@ def test_with_the_heads_own_bases_points_move_as_its_vertices(toy_head: HeadMode
     canonical = dataclasses.replace(still, expression=still.expression + 0.4, joint_rotations=0.3 * turned)
     drive = dataclasses.replace(still, expression=torch.tensor([1.0, -0.5, 0.2]).double(), joint_rotations=turned)
 
-    def bones(one: Drive) -> Bones:
-        return Bones(*head.joint_transforms(one))
+    def bones(one: Drive) -> BoneTransforms:
+        return BoneTransforms(*head.joint_transforms(one))
 
     count = len(head.template)
     change = torch.einsum("vce,e->vc", head.expression_basis, drive.expression - canonical.expression)
     zero, none = torch.zeros(count, 3, 3).double(), torch.zeros(count, 3).double()
-    motion = Motion(none, zero, change, zero, head.skinning_weights, torch.zeros(count, 3, 5).double())
+    motion = PointDeformation(none, zero, change, zero, head.skinning_weights, torch.zeros(count, 3, 5).double())
     moved = deform(head.vertices(canonical), motion, bones(canonical), bones(drive))
     assert torch.allclose(moved.points, head.vertices(drive), atol=1e-9)
 

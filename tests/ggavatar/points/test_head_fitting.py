@@ -1,4 +1,4 @@
-"""The start at the head model: where points begin, and what the networks know before the first picture."""
+"""Initialization from the head model: initial points, and fitted networks before the first step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
 from ggavatar.data.scene import Scene
 from ggavatar.head.model import HeadModel
-from ggavatar.methods.point_avatar import UNIT, Config, PointAvatar, build
+from ggavatar.methods.point_avatar import UNITS_PER_METER, Config, PointAvatar, build
 from ggavatar.points.skinning import deform, deformed_normals
 
 
@@ -26,7 +26,7 @@ def avatar(toy_capture: Capture, toy_head: HeadModel) -> PointAvatar:
 
 
 def test_points_begin_on_the_mesh(avatar: PointAvatar) -> None:
-    vertices = UNIT * avatar.head.vertices(avatar.canonical)
+    vertices = UNITS_PER_METER * avatar.head.vertices(avatar.canonical)
     corners = vertices[avatar.head.faces]
     normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = normals / normals.norm(dim=1, keepdim=True)
@@ -66,9 +66,9 @@ def test_normals_that_turn_with_the_joints(avatar: PointAvatar) -> None:
     """Without derivatives points land where they do with them, and normals see the blended transforms alone."""
     avatar.train()
     drive = avatar.scene.drives[5]
-    points, pose = avatar.cloud.points.detach(), avatar.driver.pose(drive)
-    alone = avatar.deformer.motion(avatar.deformer.features_alone(points), pose.correctives)
-    whole = avatar.deformer.motion(avatar.deformer.features(points), pose.correctives)
+    points, pose = avatar.cloud.points.detach(), avatar.driver.posed_skeleton(drive)
+    alone = avatar.deformer.deformation(avatar.deformer.features_without_tangents(points), pose.correctives)
+    whole = avatar.deformer.deformation(avatar.deformer.features(points), pose.correctives)
     found, wanted = (deform(points, motion, pose.canonical, pose.posed) for motion in (alone, whole))
     assert torch.allclose(found.points, wanted.points, atol=1e-5)
     to, back = (torch.einsum("nj,jab->nab", alone.weights, bones.rotations) for bones in (pose.posed, pose.canonical))

@@ -12,7 +12,7 @@ from ggavatar.points.deformer import Bases
 from ggavatar.points.head_targets import HeadTargets
 from ggavatar.points.point_cloud import CloudSchedule, PointCloud
 
-PLAN = CloudSchedule(epoch=10, upsampling=5, pruning=10, most=1_000, least_radius=0.006)
+PLAN = CloudSchedule(steps_per_epoch=10, upsampling_epochs=5, pruning_steps=10, max_points=1_000, min_radius=0.006)
 
 
 @pytest.fixture
@@ -52,9 +52,9 @@ def test_points_that_never_showed_go_and_doubling_stops_at_the_limit(cloud: Poin
         if step == 50:
             assert len(cloud.rows) == 600
     assert len(cloud.rows) == 600
-    cloud.advance(150, ~none(cloud), dataclasses.replace(PLAN, most=1_199), torch.Generator())
+    cloud.advance(150, ~none(cloud), dataclasses.replace(PLAN, max_points=1_199), torch.Generator())
     assert len(cloud.rows) == 600
-    cloud.advance(200, ~none(cloud), dataclasses.replace(PLAN, most=1_200), torch.Generator())
+    cloud.advance(200, ~none(cloud), dataclasses.replace(PLAN, max_points=1_200), torch.Generator())
     assert len(cloud.rows) == 1_200
 
 

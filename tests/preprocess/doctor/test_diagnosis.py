@@ -156,8 +156,8 @@ def test_black_bars_that_count_as_person_are_named(folder, tmp_path, side):
     for number in capture.frames:
         image, mask = capture.image(number).copy(), capture.mask(number).copy()
         image[where], mask[where] = 3, 255
-        write_png(capture.picture_path("images", number), image)
-        write_png(capture.picture_path("masks", number), mask)
+        write_png(capture.image_path("images", number), image)
+        write_png(capture.image_path("masks", number), mask)
     bars = black_bars(capture)
     assert bars._asdict() == {name: thick * (name == side) for name in bars._fields}
     corner = {"left": (9, 4), "top": (4, 9), "right": (0, 4), "bottom": (4, 0)}[side]

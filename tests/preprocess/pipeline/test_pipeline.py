@@ -227,7 +227,7 @@ def test_lost_frames_are_dropped_with_a_reason(clip, tmp_path, capsys):
         {"frame": 7, "reason": "no mask"},
         {"frame": 11, "reason": "no tracking"},
     ]
-    assert not capture.picture_path("images", 7).exists() and len(capture.frames) == 22
+    assert not capture.image_path("images", 7).exists() and len(capture.frames) == 22
     assert "left out" in said(capsys)
     assert run(holed, tmp_path / "strict", "--strict") == 3
 

@@ -11,8 +11,9 @@ import torch
 from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import axis_angle_to_matrix
 from ggavatar.head.model import HeadModel
-from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis, procedural_names
+from ggavatar.head.procedural.model import procedural_head, procedural_names
 from ggavatar.head.procedural.surface import EYE_CENTER, EYE_RADIUS
+from tests.support.procedural_identity import identity_basis
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +170,7 @@ def test_lids_close_over_the_eyeballs(head):
 
 
 def test_identity_folds_into_the_template_linearly():
-    basis, names = procedural_identity_basis(), procedural_names()[1]
+    basis, names = identity_basis(), procedural_names()[1]
     assert basis.shape[2] == len(names) == len(set(names))
     coefficients = np.linspace(-1, 1, len(names))
     folded = procedural_head(coefficients.tolist()).template

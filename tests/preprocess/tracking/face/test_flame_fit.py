@@ -13,7 +13,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
-from ggavatar.head.procedural.model import procedural_head, procedural_identity_basis
+from ggavatar.head.procedural.model import procedural_head
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.doctor.quality import landmark_error
 from preprocess.options import TrackingOptions
@@ -30,6 +30,7 @@ from preprocess.tracking.flame_tracker import track_flame
 from preprocess.tracking.geometry.landmark_embedding import LandmarkEmbedding
 from preprocess.tracking.geometry.landmark_model import FaceModel
 from preprocess.tracking.geometry.rigid import PinholeIntrinsics, RigidPoses, project_to_pixels
+from tests.support.procedural_identity import identity_basis
 
 StandIn = tuple[CanonicalFace, LandmarkEmbedding]
 
@@ -42,7 +43,7 @@ def flame_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The procedural head as a file of FLAME's layout: identity first, then expression."""
     head = procedural_head()
     path = tmp_path_factory.mktemp("flame") / "generic_model.npz"
-    shapes = procedural_identity_basis().numpy()
+    shapes = identity_basis().numpy()
     np.savez(
         path,
         v_template=head.template.numpy(),

@@ -1,8 +1,8 @@
-"""The sweep through the canonical network, block by block in the cache, with its gradient in closed form.
+"""The canonical network block by block within the cache, with its backward pass in closed form.
 
-Same result as `canonical.sweep_in_torch`, in float32 on a CPU. Its backward visits only points whose distance,
-gradient or albedo matters to the loss: hidden points of a picture cost one forward. Hidden layers may be of bfloat16;
-positions, outputs and the gradients of all parameters are of float32.
+The result is that of `canonical_reference.evaluate_surface_in_torch`, in float32 on a CPU. The backward pass visits
+only points with an upstream gradient; points that are hidden in the image cost the forward pass only. Hidden layers can
+be bfloat16; positions, outputs and the gradients by all parameters are float32.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ggavatar.jit.bfloat16 import padded_indices
-from ggavatar.points.canonical_reference import SKIP_SCALE, CanonicalConfig, sweep_in_torch
+from ggavatar.points.canonical_reference import SKIP_SCALE, CanonicalConfig, evaluate_surface_in_torch
 from ggavatar.points.layers import SHARPNESS, encode, softplus
 
 BLOCK = 512
-"""Points at a time: activations of a layer then take half a megabyte."""
+"""Points per block; the activations of a layer then take half a megabyte."""
 GROUP = 128
-"""Points of a block's backward come in multiples of this."""
+"""The backward pass of a block processes a multiple of this number of points."""
 
 
-def sweep(
+def evaluate_surface(
     x: Float[Tensor, "N 3"], config: CanonicalConfig, parameters: list[Tensor], hidden_type: torch.dtype | None = None
 ) -> tuple[Float[Tensor, "N 4"], Float[Tensor, "N 3"]]:
-    """As `sweep_in_torch`, by whatever is fastest for these tensors; on a CPU with hidden layers of `hidden_type`."""
+    """`evaluate_surface_in_torch`, in blocks and with hidden layers of `hidden_type` if the tensors are on a CPU."""
     if x.device.type != "cpu":
-        return sweep_in_torch(x, config, parameters)
-    return _Sweep.apply(hidden_type or x.dtype, x, config, *parameters)
+        return evaluate_surface_in_torch(x, config, parameters)
+    return _BlockwiseSurface.apply(hidden_type or x.dtype, x, config, *parameters)
 
 
-class _Sweep(torch.autograd.Function):
+class _BlockwiseSurface(torch.autograd.Function):
     """(positions, parameters) → (distance and raw albedo, gradient of the distance)."""
 
     @staticmethod
@@ -74,7 +74,7 @@ Kept = tuple[list[Tensor], list[Tensor]]
 def _forward_block(
     x: Tensor, config: CanonicalConfig, parameters: tuple[Tensor, ...], keep: bool
 ) -> tuple[Tensor, Tensor, Kept]:
-    """One block; keeps the states before and after, and the pulls on, every hidden layer."""
+    """The outputs of one block; with `keep` also the activations and the backpropagated gradients of every layer."""
     weights, biases = parameters[::2], parameters[1::2]
     encoded, slopes = _encode(x, config, parameters)
     state, states, derivatives, pulls = encoded, [encoded], [], []
@@ -103,10 +103,10 @@ def _backward_block(
     kept: Kept,
     found: list[Tensor],
 ) -> None:
-    """Add one block's part to the gradients of all parameters.
+    """Add one block's contribution to the gradients of all parameters.
 
-    First along the chain that made the gradient of the distance, from the position outwards, then back along the
-    layers; the derivative s of a layer's softplus links the two by ds/dz = β s (1 − s).
+    The first loop differentiates the computation of the distance's gradient, from the position outwards; the second
+    backpropagates through the layers. The derivative s of a layer's softplus couples the two by ds/dz = β s (1 − s).
     """
     x, to_values, to_gradient = own
     states, pulls = kept
@@ -137,13 +137,13 @@ def _backward_block(
 
 
 def _encode(x: Tensor, config: CanonicalConfig, parameters: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """The encoded positions in the type of the layers, and the encoding's derivatives as they are."""
+    """The encoded positions in the data type of the layers, and the derivatives of the encoding."""
     encoded, slopes = encode(x, config.octaves)
     return encoded.to(parameters[0]), slopes
 
 
 def _derivative(states: list[Tensor], index: int, config: CanonicalConfig) -> Tensor:
-    """Derivative of the softplus behind hidden layer `index`, from what it gave: 1 − exp(−β a)."""
+    """Derivative of the softplus of hidden layer `index`, from its output a: 1 − exp(−β a)."""
     state = states[index + 1]
     if index + 1 == config.skip:
         state = state[:, : config.width - states[0].shape[1]] / SKIP_SCALE
