@@ -24,14 +24,16 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
         raise ValueError(f"{constant} is not a JSON number")
 
     try:
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(f"{path}: expected at most {limit >> 20} MiB of JSON, found {size >> 20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+        with path.open("rb") as file:
+            text = file.read(limit + 1)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError(f"{path}: no such file") from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: expected a JSON file, found a folder") from error
+    if len(text) > limit:
+        raise InputError(f"{path}: expected at most {limit / 2**20:g} MiB of JSON, found more; not one of our files")
+    try:
+        data = json.loads(text.decode("utf-8"), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON ({error})") from error
     if not isinstance(data, dict):

@@ -68,17 +68,28 @@ def load(backend: str) -> Rasterizer:
 
 
 def resolve_device(name: str) -> str:
-    """Resolve `auto` to cuda if a CUDA device is available, else to cpu, and check any other device.
+    """Resolve `auto` to cuda if a CUDA device is available, else to cpu, and check that any other device works.
 
     Raises:
-        InputError: `name` is not a torch device, or is a CUDA device and none is available.
+        InputError: `name` is not a torch device, or torch cannot allocate on it here.
     """
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     try:
-        kind = torch.device(name).type
+        device = torch.device(name)
     except RuntimeError as error:
-        raise InputError(f"--device: expected auto, cpu, cuda or cuda:N, found {name!r}") from error
-    if kind == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"--device: expected auto, cpu, cuda, cuda:N or mps, found {name!r}") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
         raise InputError(f"--device {name}: torch finds no CUDA device; use cpu or auto")
+    if device.type == "meta" or not _allocates(device):
+        raise InputError(f"--device {name}: torch cannot allocate on this device here; use cpu or auto")
     return name
+
+
+def _allocates(device: torch.device) -> bool:
+    """Whether a tensor can be made on a device; what torch raises where it cannot is of many kinds."""
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError):
+        return False
+    return True

@@ -95,7 +95,7 @@ def test_an_absent_cuda_device_is_one_line_and_code_2(
     (tmp_path / "run").mkdir()
     assert main([str(tmp_path / "run"), "--device", "cuda", "--no-lpips"]) == 2
     error = capsys.readouterr().err
-    assert "--device cuda: torch sees no CUDA device" in error and error.count("\n") == 1
+    assert "--device cuda: torch finds no CUDA device" in error and error.count("\n") == 1
 
 
 def test_an_unknown_flag_ends_with_code_2_and_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:

@@ -148,7 +148,7 @@ def test_an_absent_cuda_device_is_one_line_and_code_2(
     monkeypatch.setattr(sys, "argv", ["ggavatar-render", str(tmp_path), "--device", "cuda"])
     assert main() == 2
     error = capsys.readouterr().err
-    assert "--device cuda: torch sees no CUDA device" in error and error.count("\n") == 1
+    assert "--device cuda: torch finds no CUDA device" in error and error.count("\n") == 1
 
 
 def test_straight_alpha_composites_back() -> None:

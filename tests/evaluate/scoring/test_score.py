@@ -171,5 +171,5 @@ def test_results_of_other_kinds_are_refused(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(InputError, match="no such file"):
         read_results(tmp_path / "absent.json")
     monkeypatch.setattr("evaluate.protocols.results.MAX_BYTES", 10)
-    with pytest.raises(InputError, match="the limit is"):
+    with pytest.raises(InputError, match="expected at most"):
         read_results(path)

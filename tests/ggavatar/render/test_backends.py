@@ -135,3 +135,19 @@ def test_gsplat_on_cuda_agrees_with_the_reference() -> None:
     assert (found.image.cpu() - expected.image).abs().max() < 1 / 255
     for name in ("means", "quats", "scales", "opacities", "colors"):
         assert (fast[name].cpu() - slow[name]).norm() < 0.01 * slow[name].norm(), name
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("gpu", "expected auto, cpu, cuda, cuda:N or mps, found 'gpu'"),
+        ("cuda", "torch finds no CUDA device"),
+        ("meta", "cannot allocate"),
+        ("xla", "cannot allocate"),
+    ],
+)
+def test_devices_that_do_not_work_here_are_refused(name: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert backends.resolve_device("auto") == backends.resolve_device("cpu") == "cpu"
+    with pytest.raises(InputError, match=message):
+        backends.resolve_device(name)
