@@ -58,7 +58,7 @@ def test_docstrings_are_whole(path: Path) -> None:
     "text",
     [
         "Square windows (left, top, width.\n\nHeight).",
-        "Colours [L.\n\n3] of landmarks.",
+        "Colors [L.\n\n3] of landmarks.",
         "Distance between the eyes.\n\nM.",
         "The text.\n\nAnd more of the same sentence.",
         "What a file holds.\n\nwith names.",

@@ -22,7 +22,7 @@ def splatted_colors(
 
     The weights are the rasterizer's derivatives with respect to color, so any backend works. Pixels are weighted by
     their coverage: a Gaussian beside the person would otherwise start in the background's color, cost nothing, stay,
-    and hide the person in other poses (docs/experiments/2026-11-29-initial-colours-from-the-person.md).
+    and hide the person in other poses (docs/experiments/2026-11-29-initial-colors-from-the-person.md).
 
     Args:
         pose: Returns the Gaussians of a drive; their colors are not used.

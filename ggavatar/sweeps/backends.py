@@ -139,7 +139,7 @@ def _import_ray() -> Any:
 
 
 def _as_completed(ray: Any, waiting: dict[Any, CellTraining]) -> Iterator[Outcome]:
-    """The outcomes of Ray tasks; those that still run when the caller stops iterating are cancelled."""
+    """The outcomes of Ray tasks; those still running when the caller stops iterating are canceled."""
     try:
         while waiting:
             ended, _ = ray.wait(list(waiting))

@@ -78,7 +78,7 @@ def test_only_a_few_images_are_held():
 
 
 def test_only_the_largest_part_stays():
-    """Reference: scipy's labelling."""
+    """Reference: scipy's labeling."""
     generator = np.random.default_rng(0)
     mask = np.zeros((120, 120), np.uint8)
     mask[20:100, 30:90] = 255
