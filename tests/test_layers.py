@@ -1,4 +1,7 @@
-"""The structure of the packages: layers, file and function sizes, what must never appear, what starts without torch."""
+"""The structure of the packages: layers, file and function sizes, what must never appear, what starts without torch.
+
+Also covers `ggavatar/cli/version.py`.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import ast
 import importlib
 import importlib.metadata
 import os
+import re
 import shutil
 import statistics
 import subprocess
@@ -95,6 +99,32 @@ def test_rooms_can_be_overlooked() -> None:
     assert max(sizes.values()) <= 25
     assert statistics.median(sizes.values()) <= 9
     assert all(sizes[ROOT / package] <= 3 for package in PACKAGES)
+
+
+def test_every_module_has_its_tests() -> None:
+    """A test file of its name in the mirrored folder, or a test file that imports it or names its path."""
+    tests = {path.relative_to(ROOT): path.read_text() for path in (ROOT / "tests").rglob("*.py")}
+    missing = []
+    for path in SOURCES:
+        room, stem = path.relative_to(ROOT).parent, path.stem
+        dotted = ".".join((*room.parts, stem))
+        mirrored = Path("tests", room, f"test_{stem}.py")
+        imported = re.compile(
+            rf"\b{re.escape(dotted)}\b|from {re.escape('.'.join(room.parts))} import [^\n]*\b{stem}\b"
+        )
+        named = (str(path.relative_to(ROOT)) in text or imported.search(text) for text in tests.values())
+        if stem != "__init__" and mirrored not in tests and not any(named):
+            missing.append(dotted)
+    assert not missing
+
+
+def test_test_files_mirror_the_tree() -> None:
+    """A folder of tests below a package is a room of that package."""
+    folders = {path.parent.relative_to(ROOT / "tests") for path in (ROOT / "tests").rglob("test_*.py")}
+    strangers = [
+        folder for folder in folders if folder.parts and folder.parts[0] in PACKAGES and not (ROOT / folder).is_dir()
+    ]
+    assert not strangers
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -1,4 +1,7 @@
-"""GGAvatar's equations by number, each against its printed form written out here (docs/paper.md has the map)."""
+"""GGAvatar's equations by number, each against its printed form written out here (docs/paper.md has the map).
+
+Also covers `ggavatar/gaussians/initialization.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""ggavatar-render from the outside: output files, refused options, exit codes."""
+"""ggavatar-render from the outside: output files, refused options, exit codes.
+
+Also covers `evaluate/rendering/options.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Gates: floors, ceilings and baselines, and their reports."""
+"""Gates: floors, ceilings and baselines, and their reports.
+
+Also covers `evaluate/gates/limits.py`.
+"""
 
 from __future__ import annotations
 

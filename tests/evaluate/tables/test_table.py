@@ -1,4 +1,7 @@
-"""Tables: ranks, ties, missing cells, seeds, means, and the marks in every format."""
+"""Tables: ranks, ties, missing cells, seeds, means, and the marks in every format.
+
+Also covers `evaluate/protocols/method_names.py`.
+"""
 
 from __future__ import annotations
 

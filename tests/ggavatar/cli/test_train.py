@@ -1,4 +1,7 @@
-"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost."""
+"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost.
+
+Also covers `ggavatar/data/background.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Opening and writing capture folders. Reference: docs/capture-format.md; every MUST in it is broken once."""
+"""Opening and writing capture folders. Reference: docs/capture-format.md; every MUST in it is broken once.
+
+Also covers `ggavatar/data/capture_schema.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Frames: compositing and resampling against numpy, order, bounded memory, reading ahead."""
+"""Frames: compositing and resampling against numpy, order, bounded memory, reading ahead.
+
+Also covers `ggavatar/jit/dispatch.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Eq. 6–8 against a plain loop, the twin, float64 autograd and what rigid motions and similarities must do."""
+"""Eq. 6–8 against a plain loop, the twin, float64 autograd and what rigid motions and similarities must do.
+
+Also covers `ggavatar/gaussians/binding_kernel.py`, `ggavatar/jit/quaternions.py`, `ggavatar/jit/vectors.py`.
+"""
 
 from __future__ import annotations
 

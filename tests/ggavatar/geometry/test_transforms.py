@@ -1,4 +1,7 @@
-"""Geometry against group axioms, scipy's Rotation and closed forms, over scales from 1e-7 to 10."""
+"""Geometry against group axioms, scipy's Rotation and closed forms, over scales from 1e-7 to 10.
+
+Also covers `ggavatar/geometry/triangles_kernel.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""`head.npz`: round trip, and every way in which a file can be wrong."""
+"""`head.npz`: round trip, and every way in which a file can be wrong.
+
+Also covers `ggavatar/head/array_shapes.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The cache of compiled kernels follows every source, and damaged or foreign files in it are compiled anew."""
+"""The cache of compiled kernels follows every source, and damaged or foreign files in it are compiled anew.
+
+Also covers `ggavatar/io/cache_folder.py`.
+"""
 
 from __future__ import annotations
 

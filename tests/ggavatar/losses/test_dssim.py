@@ -1,4 +1,7 @@
-"""D-SSIM against scikit-image, float64 autograd and itself."""
+"""D-SSIM against scikit-image, float64 autograd and itself.
+
+Also covers `ggavatar/losses/dssim_kernel.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The objective's terms in closed form, and where they could go wrong: nothing visible, nothing to push."""
+"""The objective's terms in closed form, and where they could go wrong: nothing visible, nothing to push.
+
+Also covers `ggavatar/losses/terms_kernel.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""FlashAvatar's formulas against closed forms and float64, and what its settings change."""
+"""FlashAvatar's formulas against closed forms and float64, and what its settings change.
+
+Also covers `ggavatar/gaussians/spherical_harmonics.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""PointAvatar: every printed number, its terms by hand, its motion against the head, and its road through training."""
+"""PointAvatar: every printed number, its terms by hand, its motion against the head, and its road through training.
+
+Also covers `ggavatar/points/driving.py`, `ggavatar/points/shading.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The network over rows with one condition against the plain network on rows with the condition repeated."""
+"""The network over rows with one condition against the plain network on rows with the condition repeated.
+
+Also covers `ggavatar/networks/linear.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The hash tri-plane against its layout, interpolation, twin and float64 autograd; Fourier features in closed form."""
+"""The hash tri-plane against its layout, interpolation, twin and float64 autograd; Fourier features in closed form.
+
+Also covers `ggavatar/jit/pairs.py`, `ggavatar/networks/triplane_kernel.py`.
+"""
 
 from __future__ import annotations
 

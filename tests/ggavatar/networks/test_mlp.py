@@ -1,4 +1,7 @@
-"""The fused network against float64 autograd, for widths that do not fill vectors and for rows without gradient."""
+"""The fused network against float64 autograd, for widths that do not fill vectors and for rows without gradient.
+
+Also covers `ggavatar/jit/matmul_tiles.py`, `ggavatar/networks/mlp_kernel.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The Geometry Morph Adjuster: identity at first, Eq. 9–12 term by term, compiled equals float64 autograd."""
+"""The Geometry Morph Adjuster: identity at first, Eq. 9–12 term by term, compiled equals float64 autograd.
+
+Also covers `ggavatar/gaussians/offsets_kernel.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Where model files are searched, in which order, and what is refused; the network is replaced by a stub."""
+"""Where model files are searched, in which order, and what is refused; the network is replaced by a stub.
+
+Also covers `ggavatar/io/digests.py`.
+"""
 
 from __future__ import annotations
 

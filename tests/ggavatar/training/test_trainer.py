@@ -1,4 +1,7 @@
-"""Training on a toy capture: it learns, is reproducible to the bit, and so is a run resumed after any interruption."""
+"""Training on a toy capture: it learns, is reproducible to the bit, and so is a run resumed after any interruption.
+
+Also covers `ggavatar/head/region_boxes.py`, `ggavatar/training/provenance.py`.
+"""
 
 from __future__ import annotations
 

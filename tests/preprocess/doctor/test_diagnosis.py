@@ -1,6 +1,9 @@
 """The doctor on the generated person.
 
 Healthy as delivered, and every fault put into its tracking on purpose is named.
+
+Also covers `preprocess/cli/terminal.py`, `preprocess/doctor/frame_offset.py`, `preprocess/doctor/preview.py`,
+`preprocess/masks/pairing.py`, `preprocess/pipeline/doctor_stage.py`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Masks. References: a chroma key, connected components of scipy, and made-up networks whose answer is known."""
+"""Masks. References: a chroma key, connected components of scipy, and made-up networks whose answer is known.
+
+Also covers `preprocess/masks/grabcut.py`, `preprocess/masks/networks.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""From a video with another tracker's output to a capture, on a synthetic subject with known ground truth."""
+"""From a video with another tracker's output to a capture, on a synthetic subject with known ground truth.
+
+Also covers `preprocess/pipeline/pack_stage.py`, `preprocess/pipeline/read_stage.py`,
+`preprocess/pipeline/tracking_stage.py`.
+"""
 
 from __future__ import annotations
 

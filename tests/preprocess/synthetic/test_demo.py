@@ -1,4 +1,11 @@
-"""The generated person: performance, `.frame` invariants, determinism, and its image against its own projected mesh."""
+"""The generated person: performance, `.frame` invariants, determinism, and its image against its own projected mesh.
+
+Also covers `preprocess/synthetic/animation/posing.py`, `preprocess/synthetic/studio.py`,
+`preprocess/synthetic/person/character.py`, `preprocess/synthetic/person/hair.py`,
+`preprocess/synthetic/person/lashes.py`, `preprocess/synthetic/person/short_hair.py`,
+`preprocess/synthetic/person/skin_paint.py`, `preprocess/synthetic/person/torso.py`,
+`preprocess/synthetic/rendering/hair_shading.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The networks on scikit-image's portrait, and the whole tracker on a dozen frames of a real clip."""
+"""The networks on scikit-image's portrait, and the whole tracker on a dozen frames of a real clip.
+
+Also covers `ggavatar/landmarks/crop_region.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The procedural head against topology (Euler, closed edges), FLAME's extents and a float64 rigid reference."""
+"""The procedural head against topology (Euler, closed edges), FLAME's extents and a float64 rigid reference.
+
+Also covers `ggavatar/head/procedural/expression.py`, `ggavatar/head/procedural/identity.py`,
+`ggavatar/head/procedural/regions.py`, `ggavatar/head/procedural/rig.py`, `ggavatar/head/procedural/skin.py`,
+`ggavatar/head/procedural/uv.py`.
+"""
 
 from __future__ import annotations
 

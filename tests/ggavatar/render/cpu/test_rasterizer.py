@@ -1,4 +1,10 @@
-"""The compiled rasterizer against float64 autograd of the reference."""
+"""The compiled rasterizer against float64 autograd of the reference.
+
+Also covers `ggavatar/jit/padding.py`, `ggavatar/render/checks.py`, `ggavatar/render/constants.py`,
+`ggavatar/render/cpu/backward.py`, `ggavatar/render/cpu/binning.py`, `ggavatar/render/cpu/blending.py`,
+`ggavatar/render/cpu/forward.py`, `ggavatar/render/cpu/gradient.py`, `ggavatar/render/cpu/harmonics.py`,
+`ggavatar/render/cpu/layout.py`, `ggavatar/render/cpu/projection.py`, `ggavatar/render/cpu/stages.py`.
+"""
 
 from __future__ import annotations
 

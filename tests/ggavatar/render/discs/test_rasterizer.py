@@ -1,4 +1,7 @@
-"""Discs against closed forms, the float64 reference against gradcheck, and the kernels against the reference."""
+"""Discs against closed forms, the float64 reference against gradcheck, and the kernels against the reference.
+
+Also covers `ggavatar/render/discs/kernel.py`, `ggavatar/render/discs/stages.py`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Every foreign format: written from a known tracking and read back, points project to the same pixels (1e-3 px)."""
+"""Every foreign format: written from a known tracking and read back, points project to the same pixels (1e-3 px).
+
+Also covers `preprocess/formats/importers/insta.py`, `preprocess/formats/importers/npz.py`.
+"""
 
 from __future__ import annotations
 

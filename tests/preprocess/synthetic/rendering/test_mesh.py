@@ -1,4 +1,7 @@
-"""Pieces of the subject's renderer against closed forms: coverage, depth, planes, springs, shadows, lines."""
+"""Pieces of the subject's renderer against closed forms: coverage, depth, planes, springs, shadows, lines.
+
+Also covers `preprocess/synthetic/rendering/shading.py`.
+"""
 
 from __future__ import annotations
 

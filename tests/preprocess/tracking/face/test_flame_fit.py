@@ -1,4 +1,7 @@
-"""A head of FLAME's layout whose parameters are known is recovered from its own projected landmarks."""
+"""A head of FLAME's layout whose parameters are known is recovered from its own projected landmarks.
+
+Also covers `preprocess/tracking/sequence.py`.
+"""
 
 from __future__ import annotations
 

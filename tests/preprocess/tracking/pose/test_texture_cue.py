@@ -1,4 +1,7 @@
-"""The texture cue and the pitch-bias correction on a synthetic face with known poses and sliding landmarks."""
+"""The texture cue and the pitch-bias correction on a synthetic face with known poses and sliding landmarks.
+
+Also covers `preprocess/tracking/geometry/bilinear.py`.
+"""
 
 from __future__ import annotations
 
