@@ -10,16 +10,7 @@ from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.tables.study import Study
-from evaluate.tables.table import (
-    CellSource,
-    Column,
-    Row,
-    Table,
-    missing_cell,
-    number_cell,
-    rank_across,
-    rank_down,
-)
+from evaluate.tables.table import CellSource, Column, Row, Table, missing_cell, number_cell, rank_across, rank_down
 
 
 def metric_columns(metrics: Sequence[str], group: str = "") -> list[Column]:

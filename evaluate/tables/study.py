@@ -11,13 +11,7 @@ from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
 from evaluate.protocols.statistics import deviation_over_seeds
-from evaluate.tables.table import (
-    IDENTICAL,
-    Cell,
-    CellSource,
-    missing_cell,
-    number_cell,
-)
+from evaluate.tables.table import IDENTICAL, Cell, CellSource, missing_cell, number_cell
 from ggavatar.errors import InputError
 
 

@@ -35,22 +35,7 @@ from ggavatar.render.cpu.blending import (
     initial_transmittance,
 )
 from ggavatar.render.cpu.forward import canvas_pointers
-from ggavatar.render.cpu.layout import (
-    BLUE,
-    DEPTH,
-    GREEN,
-    OPACITY,
-    RECORD,
-    RED,
-    SIZE,
-    TILE,
-    TILES,
-    XX,
-    XY,
-    YY,
-    X,
-    Y,
-)
+from ggavatar.render.cpu.layout import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, SIZE, TILE, TILES, XX, XY, YY, X, Y
 
 SUMS, SUMS_READ = 12, 16
 """Floats of a slot (sums over the pixels of a tile, offsets below), and how many are read at once."""
