@@ -115,7 +115,7 @@ def single_components(scene: StepScene) -> dict[str, Call]:
         scene.render(adjusted=False).image.backward(incoming)
 
     return {
-        "bind_and_rasterise": rasterize,
+        "bind_and_rasterize": rasterize,
         "skinned_head_and_frames": scene.posed_frames,
         "adam_of_rows": scene.optimizers[0].step,
         "adam_of_adjuster": scene.optimizers[1].step,
