@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import sys
 from dataclasses import dataclass
@@ -92,23 +93,11 @@ def _train(arguments: Arguments) -> int:
 
 
 def options_of(arguments: Arguments) -> dict[str, Any]:
-    """The options that the user has given, by name."""
-    names = (
-        "method",
-        "preset",
-        "steps",
-        "seed",
-        "device",
-        "backend",
-        "split",
-        "background",
-        "max_gaussians",
-        "eval_every",
-        "save_every",
-    )
-    given = {name: getattr(arguments, name) for name in names}
-    given |= {"set": list(arguments.set), "resume": arguments.resume, "overwrite": arguments.overwrite}
-    return {name: value for name, value in given.items() if value is not None}
+    """The options that the user has given, by name: every field but those that say where and how loudly."""
+    given = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(arguments)}
+    given["set"] = list(arguments.set)
+    elsewhere = ("capture", "output", "quiet")
+    return {name: value for name, value in given.items() if name not in elsewhere and value is not None}
 
 
 if __name__ == "__main__":
