@@ -145,6 +145,7 @@ def render_views(
         rendered = _rendered(avatar, rasterize, views, output)
         # A single encoding thread, since the frames of a video must arrive in order.
         written = ordered_map(lambda view: _write(view, output, append), rendered, threads=1, ahead=BATCH - 1)
+        stack.enter_context(contextlib.closing(written))  # the encoder has stopped before the video is closed
         for done, _ in enumerate(written, start=1):
             if progress:
                 progress(done, len(views))

@@ -1,4 +1,4 @@
-"""Where GGAVatar keeps files that it can fetch or compute again."""
+"""Where GGAvatar keeps files that it can fetch or compute again."""
 
 from __future__ import annotations
 

@@ -34,7 +34,8 @@ def ordered_map(
 
     Items are taken in the caller's thread, a few ahead of the result that is requested. An exception is raised in place
     of its item's result and ends the iteration; items not yet started then, or when the caller stops iterating, are
-    dropped.
+    dropped. A caller whose `function` uses something that is closed later closes this generator first: that waits for
+    the threads.
 
     Args:
         function: Called once per item, from any thread.

@@ -7,11 +7,13 @@ file that the kernel can inline or take a constant from, and every cache file ca
 from __future__ import annotations
 
 import ast
+import atexit
 import contextlib
 import functools
 import hashlib
 import io
 import os
+import shutil
 import stat
 import sys
 import tempfile
@@ -37,7 +39,8 @@ def imported_files(path: Path, root: Path) -> frozenset[Path]:
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level and node.module, f"{path}:{node.lineno}: a relative import, which is not followed"
             names.update({node.module, *(f"{node.module}.{alias.name}" for alias in node.names)})
     ours = [root.joinpath(*name.split(".")).with_suffix(".py") for name in names if name.split(".")[0] in PACKAGES]
     return frozenset(file for file in ours if file.is_file())
@@ -74,19 +77,27 @@ def is_private(folder: Path) -> bool:
 def kernel_folder() -> Path:
     """The folder for compiled kernels, created if necessary: in the user's cache, else a temporary one.
 
-    Cache files are executed, so a folder that others could have written to is not used.
+    Cache files are executed, so a folder that others could have written to is not used, and ours is closed to them.
     """
-    folder = cache_folder("kernels")
+    folder = cache_folder("compiled")
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if is_private(folder) and os.access(folder, os.W_OK):
+            folder.chmod(0o700)
             return folder
-    private = Path(tempfile.mkdtemp(prefix="ggavatar-kernels-"))
+    private = Path(tempfile.mkdtemp(prefix="ggavatar-compiled-"))
+    atexit.register(_remove, private, os.getpid())
     sys.stderr.write(
         f"compiled kernels are kept in {private} for this process only: {folder} is not a folder that this user alone "
         "can write to; set $GGAVATAR_CACHE to one\n"
     )
     return private
+
+
+def _remove(folder: Path, owner: int) -> None:
+    """Remove a temporary folder when the process that made it ends; forked children leave it alone."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _signature(path: str, content: bytes) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -75,3 +76,28 @@ def test_an_error_while_writing_is_raised(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(render_views, "write_png", full)
     with pytest.raises(OSError, match="No space left"):
         render_views.render_views(Gray(), paint, views(3), Output(tmp_path, fps=None))
+
+
+def test_the_encoder_has_stopped_before_the_video_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error in the caller's progress, such as Ctrl-C there, while a frame is being encoded."""
+    events: list[str] = []
+
+    class Video:
+        def __enter__(self) -> Callable[[np.ndarray], None]:
+            return self.append
+
+        def append(self, image: np.ndarray) -> None:
+            time.sleep(0.05)
+            events.append("append")
+
+        def __exit__(self, *_: object) -> None:
+            events.append("close")
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(render_views, "video_writer", lambda *_: Video())
+    with pytest.raises(KeyboardInterrupt) as caught:
+        render_views.render_views(Gray(), paint, views(11), Output(tmp_path), interrupt)
+    time.sleep(0.2)
+    assert caught and events[-1] == "close" and events.count("close") == 1

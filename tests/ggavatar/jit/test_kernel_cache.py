@@ -124,7 +124,7 @@ def test_damaged_cache_files_are_compiled_anew(
     script, intact = compiled_program
     cache = tmp_path / "cache"
     shutil.copytree(intact, cache)
-    (file,) = (cache / "ggavatar" / "kernels").rglob(f"*{suffix}")
+    (file,) = (cache / "ggavatar" / "compiled").rglob(f"*{suffix}")
     content = file.read_bytes()
     planted = tmp_path / "planted"
     damaged = {
@@ -142,7 +142,7 @@ def test_damaged_cache_files_are_compiled_anew(
 def test_the_cache_can_be_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
     folder = kernel_cache.kernel_folder()
-    assert folder == tmp_path / "ggavatar" / "kernels"
+    assert folder == tmp_path / "ggavatar" / "compiled"
     if os.name == "posix":
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
@@ -152,7 +152,7 @@ def test_the_cache_can_be_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_folder_that_others_could_have_written_is_not_trusted(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "ggavatar" / "kernels"
+    folder = tmp_path / "ggavatar" / "compiled"
     folder.parent.mkdir()
     if kind == "file":
         folder.write_text("")
@@ -166,4 +166,17 @@ def test_a_folder_that_others_could_have_written_is_not_trusted(
     used = kernel_cache.kernel_folder()
     assert tmp_path not in used.parents and kernel_cache.is_private(used)
     assert str(used) in capsys.readouterr().err
-    used.rmdir()
+    kernel_cache._remove(used, os.getpid() + 1)
+    assert used.is_dir()
+    kernel_cache._remove(used, os.getpid())
+    assert not used.exists()
+
+
+def test_a_temporary_cache_ends_with_its_process(tmp_path: Path) -> None:
+    (tmp_path / "ggavatar").mkdir()
+    (tmp_path / "ggavatar" / "compiled").write_text("")
+    environment = {**os.environ, "GGAVATAR_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    code = "import os; from ggavatar.jit.kernels import CACHE; assert CACHE.is_dir(); print(CACHE)"
+    ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert str(tmp_path) in ran.stdout and not Path(ran.stdout.strip()).exists()
