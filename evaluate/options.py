@@ -85,7 +85,7 @@ class Gates:
 
 @dataclass(frozen=True)
 class Options:
-    """Measure avatars and print tables. Give run folders, result files (metrics.json), or --pred and --gt."""
+    """Measure avatars and write tables. Give run folders, result files (metrics.json), or --pred and --gt."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Run folders, evaluation folders, metrics.json files, or FILE.ply with --capture, in any combination."""
@@ -100,7 +100,7 @@ class Options:
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--output-dir"])] = None
-    """Output folder of the tables; by default beside the metrics of a single run."""
+    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, or PRED-evaluation/."""
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False
@@ -110,9 +110,9 @@ class Options:
     no_learned: Annotated[bool, tyro.conf.arg(aliases=["--no-lpips"])] = False
     """Skip learned metrics (LPIPS, faces) even if their weights are available."""
     models: Path | None = None
-    """Folder with the weights of learned metrics; by default $GGAVATAR_MODELS."""
+    """Folder searched first for the weights of learned metrics, before $GGAVATAR_MODELS and the user's cache."""
     device: str = "auto"
-    """Device on which runs are rendered: auto, cpu, cuda or cuda:N."""
+    """Device on which runs are rendered: auto, cpu, cuda, cuda:N or mps."""
     again: bool = False
     """Render and score again even if the results are up to date."""
     threads: int | None = None

@@ -40,10 +40,13 @@ class PrepOptions:
     """Format of `--tracking`: one of the names listed above, or auto to detect it."""
 
     head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"], metavar="FILE")] = None
-    """Head model that `--tracking` belongs to: head.npz, or FLAME's generic_model.pkl, flame2023.pkl or npz."""
+    """Head model of `--tracking` (required with it): head.npz, or FLAME's generic_model.pkl, flame2023.pkl or npz.
+
+    If `--tracking` is not given, the built-in tracker fits this FLAME model.
+    """
 
     masks: str = "auto"
-    """Foreground masks: a folder of images, an RVM network file (.onnx, .torchscript), or auto, selfie, grabcut."""
+    """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto (selfie)."""
 
     size: int = 512
     """Longer side of the capture's images, px."""

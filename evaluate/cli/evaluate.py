@@ -138,21 +138,22 @@ def folder_protocol(options: Options) -> Protocol:
 def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
     """Write report, comparison, video and curves of every evaluation with images, and comparisons of methods."""
     from evaluate.figures.evaluation_images import EvaluationImages
-    from evaluate.figures.write import write_studies, write_visuals
+    from evaluate.figures.write import write_comparisons, write_figures
 
     if options.folders.pred and options.folders.gt:
         found = [(folder, EvaluationImages(evaluations[0], options.folders.pred, options.folders.gt))]
     else:
-        homes = [_metrics_folder(path, one) for path, one in zip(options.runs, evaluations, strict=True)]
+        folders = [_metrics_folder(path, one) for path, one in zip(options.runs, evaluations, strict=True)]
         found = [
-            (home, images)
-            for home, one in zip(homes, evaluations, strict=True)
-            if (images := EvaluationImages.in_folder(one, home)).predictions.is_dir() and images.truth.is_dir()
+            (metrics_folder, images)
+            for metrics_folder, one in zip(folders, evaluations, strict=True)
+            if (images := EvaluationImages.in_folder(one, metrics_folder)).predictions.is_dir()
+            and images.truth.is_dir()
         ]
     written: list[Path] = []
-    for home, images in found:
-        written += write_visuals(images, home, show_progress("drawing", options.quiet))
-    return written + write_studies([images for _, images in found], folder)
+    for metrics_folder, images in found:
+        written += write_figures(images, metrics_folder, show_progress("drawing", options.quiet))
+    return written + write_comparisons([images for _, images in found], folder)
 
 
 def _metrics_folder(path: Path, evaluation: Evaluation) -> Path:

@@ -19,14 +19,14 @@ REPORT, COMPARISON, VIDEO = "report.html", "comparison.png", "side_by_side.mp4"
 CURVES, WORST = "curves.png", "worst.png"
 
 
-def write_visuals(
-    evaluated: EvaluationImages, home: Path, progress: Callable[[int, int], None] | None = None
+def write_figures(
+    evaluated: EvaluationImages, folder: Path, progress: Callable[[int, int], None] | None = None
 ) -> list[Path]:
     """Write the figures of one evaluation beside its metrics; files newer than the metrics are kept.
 
     Args:
         evaluated: The evaluation with its images.
-        home: Folder of metrics.json.
+        folder: Folder of metrics.json, and of the figures.
         progress: Called with (done, total) after every file.
 
     Returns:
@@ -43,14 +43,14 @@ def write_visuals(
         REPORT: lambda path: write_report(path, [evaluated]),
     }
     for done, (file, write) in enumerate(writers.items(), start=1):
-        if _outdated(home / file, home / METRICS_FILE):
-            write(home / file)
+        if _outdated(folder / file, folder / METRICS_FILE):
+            write(folder / file)
         if progress:
             progress(done, len(writers))
-    return [home / file for file in (REPORT, COMPARISON, VIDEO, CURVES, WORST) if (home / file).is_file()]
+    return [folder / file for file in (REPORT, COMPARISON, VIDEO, CURVES, WORST) if (folder / file).is_file()]
 
 
-def write_studies(evaluated: Sequence[EvaluationImages], folder: Path) -> list[Path]:
+def write_comparisons(evaluated: Sequence[EvaluationImages], folder: Path) -> list[Path]:
     """Write the figures that compare several evaluations.
 
     Args:
@@ -70,11 +70,11 @@ def write_studies(evaluated: Sequence[EvaluationImages], folder: Path) -> list[P
     for (subject, protocol, truth), members in groups.items():
         stem = subject if subjects.count(subject) == 1 else f"{subject}-{protocol}-{truth[:6]}"
         if len(members) > 1:
-            written += _write_study(members, folder, stem)
-    return written + _write_gallery(list(groups.values()), folder)
+            written += _write_method_comparison(members, folder, stem)
+    return written + _write_subject_comparison(list(groups.values()), folder)
 
 
-def _write_study(members: Sequence[EvaluationImages], folder: Path, stem: str) -> list[Path]:
+def _write_method_comparison(members: Sequence[EvaluationImages], folder: Path, stem: str) -> list[Path]:
     """Comparison and report of several methods on one subject."""
     safe = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
     figure, page = folder / f"comparison-{safe}.png", folder / f"report-{safe}.html"
@@ -83,13 +83,13 @@ def _write_study(members: Sequence[EvaluationImages], folder: Path, stem: str) -
     return [figure, page]
 
 
-def _write_gallery(groups: Sequence[Sequence[EvaluationImages]], folder: Path) -> list[Path]:
+def _write_subject_comparison(groups: Sequence[Sequence[EvaluationImages]], folder: Path) -> list[Path]:
     """A hard frame of every subject with the same methods as the first (the layout of the paper's Fig. 3)."""
-    alike = [group for group in groups if display_names(group) == display_names(groups[0])]
-    if len({group[0].evaluation.subject for group in alike}) < 2:
+    comparable = [group for group in groups if display_names(group) == display_names(groups[0])]
+    if len({group[0].evaluation.subject for group in comparable}) < 2:
         return []
     frames = []
-    for group in alike:
+    for group in comparable:
         methods, truth, subject = _folders(group), group[0].truth, group[0].evaluation.subject
         hard = list(typical_frames(methods, truth))[-1]
         frames.append(load_comparison_frame(hard, methods, truth, f"{subject}, frame {hard}", group[0].face_masks))

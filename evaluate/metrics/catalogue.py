@@ -35,7 +35,8 @@ class Metric:
         return "↑" if self.higher_is_better else "↓"
 
 
-# The definitions below enter the digests of published protocols: their wording must not change.
+# The definitions below enter the digests of published protocols: their wording must not change, terms such as "render"
+# and "truth" included (elsewhere: prediction, ground truth).
 _WINDOW = "11x11 Gaussian window of sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1"
 _LUMA = "on 0.299 R + 0.587 G + 0.114 B"
 _NO_FACE = "frames without a face in render or truth are left out and counted"

@@ -69,7 +69,7 @@ def masked_mean(values: Float[np.ndarray, "_H _W"], weights: Weights) -> float |
     return float(np.vdot(values.astype(np.float64), weights)) / total if total > 0 else None
 
 
-def decibels(squared_error: float) -> float:
+def psnr_from_mse(squared_error: float) -> float:
     """PSNR in dB of a mean squared error of range 1: −10·log10(MSE); infinite for zero."""
     return -10 * math.log10(squared_error) if squared_error > 0 else math.inf
 
@@ -79,19 +79,19 @@ def psnr(prediction: Image, target: Image) -> float:
 
     The 3DGS code averages one PSNR per channel of a [3, H, W] image, which is up to 0.05 dB higher.
     """
-    return decibels(mean_squared_error(prediction, target))
+    return psnr_from_mse(mean_squared_error(prediction, target))
 
 
 def masked_psnr(squared_errors: Float[np.ndarray, "_H _W"], weights: Weights) -> float | None:
     """PSNR of the masked mean of `squared_error`, dB; None if all weights are zero."""
     error = masked_mean(squared_errors, weights)
-    return None if error is None else decibels(error)
+    return None if error is None else psnr_from_mse(error)
 
 
 def pooled_psnr(squared_errors: Iterable[float]) -> float | None:
     """PSNR of the mean squared error over all images, dB: at most the mean of their PSNRs; None without images."""
     errors = list(squared_errors)
-    return decibels(math.fsum(errors) / len(errors)) if errors else None
+    return psnr_from_mse(math.fsum(errors) / len(errors)) if errors else None
 
 
 def _range(image: Image) -> float:

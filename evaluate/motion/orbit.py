@@ -26,7 +26,7 @@ def head_center(head: HeadModel, drive: Drive) -> Float[Tensor, " 3"]:
 
 
 def orbit_camera(camera: Camera, center: Float[Tensor, " 3"], yaw: float, pitch: float) -> Camera:
-    """The camera moved on a sphere about `center`, whose place in the image is kept.
+    """The camera moved on a sphere about `center`, which stays fixed in the image.
 
     Args:
         camera: Starting camera.

@@ -1,4 +1,4 @@
-"""Retarget a driving sequence to an avatar's head, and convert it to drives and cameras."""
+"""A driving sequence in the expression basis and joint order of an avatar's head, and as drives and cameras."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 
 
-def retarget(driver: DrivingSequence, target: DrivingSequence, force: bool = False) -> DrivingSequence:
-    """The driver with the target's number of coefficients and order of joints; joints it lacks stay at rest.
+def match_basis(driver: DrivingSequence, target: DrivingSequence, force: bool = False) -> DrivingSequence:
+    """The driving sequence with the target's number of coefficients and joint order; joints it lacks stay at rest.
 
     Args:
         driver: Sequence to adapt.

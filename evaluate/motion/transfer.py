@@ -54,7 +54,7 @@ def transfer_performance(
     """Transfer the driver's performance to the target.
 
     Args:
-        driver: Sequence in the target's basis and joint order (`evaluate.motion.retarget.retarget`).
+        driver: Sequence in the target's basis and joint order (`evaluate.motion.retarget.match_basis`).
         driver_neutral: Row of the driver's neutral frame.
         target: Sequence that the avatar was trained on; its ranges are the limits.
         target_neutral: Row of the target's neutral frame.

@@ -43,6 +43,7 @@ class Protocol:
         overrides: Names of the fields that differ from the named protocol, sorted.
     """
 
+    # The digests of published protocols cover the names and values of these fields, British spelling included.
     name: str
     version: int = 1
     split: str = GIVEN
@@ -142,11 +143,12 @@ class Protocol:
         return dataclasses.replace(changed, overrides=differing)
 
 
+# The metrics and regions of the named protocols; those of gaussian-avatars are what its code measures, as 3DGS does.
 _PIXELS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ms_ssim")
 _ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *TEMPORAL, *FACES)
-_HELD_OUT_END = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *TEMPORAL)
-_PARTS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
-_LINEAGE = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")
+_LAST_FRAMES_METRICS = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *TEMPORAL)
+_RUN_REGIONS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
+_GAUSSIAN_AVATARS_METRICS = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")
 
 
 def _on_white(name: str, split: str, **fields: Any) -> Protocol:
@@ -161,11 +163,11 @@ _NAMED = (
         "every-20th",
         metrics=("psnr", "l1", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", "lpips_vgg_unit_range"),
         table_metrics=("psnr", "ssim_3dgs", "lpips_alex"),
-        regions=_PARTS,
+        regions=_RUN_REGIONS,
     ),
-    _on_white("strict", "ratio-0.8", metrics=_ALL, regions=_PARTS),
-    _on_white("insta-350", "last-350", metrics=_HELD_OUT_END),
-    _on_white("flash-500", "last-500", metrics=_HELD_OUT_END, table_metrics=("psnr", "ssim_3dgs", "lpips_vgg")),
+    _on_white("strict", "ratio-0.8", metrics=_ALL, regions=_RUN_REGIONS),
+    _on_white("insta-350", "last-350", metrics=_LAST_FRAMES_METRICS),
+    _on_white("flash-500", "last-500", metrics=_LAST_FRAMES_METRICS, table_metrics=("psnr", "ssim_3dgs", "lpips_vgg")),
     _on_white(
         "imavatar-face256",
         "file",
@@ -173,7 +175,13 @@ _NAMED = (
         resolution="256x256",
         metrics=("psnr", "l1", "ssim", "lpips_alex"),
     ),
-    _on_white("gaussian-avatars", "file", resolution="550x802", metrics=_LINEAGE, table_metrics=_LINEAGE),
+    _on_white(
+        "gaussian-avatars",
+        "file",
+        resolution="550x802",
+        metrics=_GAUSSIAN_AVATARS_METRICS,
+        table_metrics=_GAUSSIAN_AVATARS_METRICS,
+    ),
     Protocol("folders"),
 )
 

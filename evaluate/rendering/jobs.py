@@ -16,7 +16,7 @@ from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.figures.video import playback_fps
 from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of, read_driving_sequence
 from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
-from evaluate.motion.retarget import drives_and_cameras, retarget
+from evaluate.motion.retarget import drives_and_cameras, match_basis
 from evaluate.motion.transfer import TransferOptions, neutral_row, transfer_performance
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN, Protocol
@@ -133,7 +133,7 @@ def _orbit(
 def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     source = options.drive or Path()
     target, driver = driving_sequence_of(run.capture), read_driving_sequence(source)
-    driver = retarget(driver, target, options.force_basis)
+    driver = match_basis(driver, target, options.force_basis)
     if options.transfer == "absolute" and options.pose == "absolute" and driver.cameras is None:
         raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
     how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)

@@ -28,7 +28,7 @@ class Options:
     drive: Path | None = None
     """Drive the avatar with a capture folder or an .npz file instead; also writes reenactment.png."""
     transfer: Literal["relative", "absolute"] = "relative"
-    """Add the driver's changes from its neutral frame to the avatar's neutral frame, or copy its coefficients."""
+    """Add the driving sequence's changes from its neutral frame to the avatar's, or copy its coefficients."""
     pose: Literal["relative", "absolute", "still"] = "relative"
     """The same for the head's pose relative to the camera; still keeps that of the avatar's neutral frame."""
     smooth: Literal["none", "one-euro", "savgol"] = "savgol"
@@ -36,13 +36,13 @@ class Options:
     limit: float = 0.15
     """How far a coefficient may leave the range seen in training, as a fraction of that range; negative: no limit."""
     neutral: int | None = None
-    """Frame number of the driver's neutral frame; detected by default."""
+    """Frame number of the driving sequence's neutral frame; detected by default."""
     target_neutral: int | None = None
     """Frame number of the avatar's neutral frame, also used for an orbit; detected by default."""
     beside: tuple[Path, ...] = ()
-    """Output folders of --drive for other runs and the same driver: additional rows of reenactment.png."""
+    """Output folders of --drive for other runs and the same driving sequence: additional rows of reenactment.png."""
     force_basis: bool = False
-    """Accept a driver with another number of coefficients or another version of the same family of bases."""
+    """Accept a driving sequence with another number of coefficients or another version of the same family of bases."""
     yaw: float = 40.0
     """Largest yaw of the orbit to either side, degrees."""
     pitch: float = 20.0

@@ -22,8 +22,8 @@ def show(table: Table, console: Console) -> None:
     """Print a table with its notes; one wider than the console is split into several parts, never truncated."""
     colors = console.color_system is not None and not console.no_color
     console.print(Text(table.caption, style="bold"))
-    for places in column_chunks(table, console.width):
-        console.print(_rich_table(table, places, colors))
+    for indices in column_chunks(table, console.width):
+        console.print(_rich_table(table, indices, colors))
     if not colors and any(cell.mark for row in table.rows for cell in row.cells):
         console.print("* best  ' second", highlight=False)
     for note in table.notes:
@@ -34,38 +34,44 @@ def show(table: Table, console: Console) -> None:
 def column_chunks(table: Table, width: int) -> list[list[int]]:
     """Column indices by part: as many as fit the width; groups stay together if they fit at all."""
     labels = [table.corner, *(row.label for row in table.rows), *(row.section for row in table.rows)]
-    room = width - max(map(cell_len, labels)) - EDGES
+    available_width = width - max(map(cell_len, labels)) - EDGES
     chunks: list[list[int]] = []
-    for group in _groups(table, room):
-        needed = sum(_width(table, place) for place in [*(chunks[-1] if chunks else ()), *group])
-        if chunks and needed <= room:
+    for group in _groups(table, available_width):
+        needed = sum(_width(table, index) for index in [*(chunks[-1] if chunks else ()), *group])
+        if chunks and needed <= available_width:
             chunks[-1] += group
         else:
             chunks.append(list(group))
     return chunks
 
 
-def _groups(table: Table, room: int) -> list[list[int]]:
+def _groups(table: Table, available_width: int) -> list[list[int]]:
     """Columns that stay together: those of one group, or single columns if the group is too wide."""
     groups: dict[str, list[int]] = {}
-    for place, column in enumerate(table.columns):
-        groups.setdefault(column.group or str(place), []).append(place)
-    fitting = {name: sum(_width(table, place) for place in places) <= room for name, places in groups.items()}
-    return [part for name, places in groups.items() for part in ([places] if fitting[name] else [[p] for p in places])]
+    for index, column in enumerate(table.columns):
+        groups.setdefault(column.group or str(index), []).append(index)
+    fitting = {
+        name: sum(_width(table, index) for index in indices) <= available_width for name, indices in groups.items()
+    }
+    return [
+        part
+        for name, indices in groups.items()
+        for part in ([indices] if fitting[name] else [[index] for index in indices])
+    ]
 
 
-def _width(table: Table, place: int) -> int:
+def _width(table: Table, index: int) -> int:
     """Width of a column in characters, including a sign."""
-    column = table.columns[place]
-    texts = (column.title, column.group, *(f"{row.cells[place].text}*" for row in table.rows))
+    column = table.columns[index]
+    texts = (column.title, column.group, *(f"{row.cells[index].text}*" for row in table.rows))
     return max(map(cell_len, texts)) + PADDING
 
 
-def _rich_table(table: Table, places: Sequence[int], colors: bool) -> RichTable:
+def _rich_table(table: Table, indices: Sequence[int], colors: bool) -> RichTable:
     rich_table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
     rich_table.add_column(Text(table.corner), no_wrap=True)
-    for place in places:
-        rich_table.add_column(_heading(table.columns[place]), justify="right", no_wrap=True)
+    for index in indices:
+        rich_table.add_column(_heading(table.columns[index]), justify="right", no_wrap=True)
     section = ""
     for row in table.rows:
         if row.section and row.section != section:
@@ -74,7 +80,7 @@ def _rich_table(table: Table, places: Sequence[int], colors: bool) -> RichTable:
             section = row.section
         if row.rule:
             rich_table.add_section()
-        rich_table.add_row(Text(row.label), *(_cell(row.cells[place], colors) for place in places))
+        rich_table.add_row(Text(row.label), *(_cell(row.cells[index], colors) for index in indices))
     return rich_table
 
 

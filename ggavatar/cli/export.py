@@ -42,7 +42,7 @@ class Arguments:
     step: int | None = None
     """Step of the checkpoint; the newest if not given."""
     device: str = "auto"
-    """auto, cpu, cuda or cuda:N."""
+    """auto, cpu, cuda, cuda:N or mps."""
     overwrite: bool = False
     """Replace an earlier export."""
 

@@ -49,13 +49,13 @@ class Arguments:
     cpus_per_job: float = 1.0
     """ray: cores per cell."""
     retries: int = 0
-    """How often a cell that failed is resumed from its last checkpoint; invalid input is not retried."""
+    """How many times a failed cell is resumed from its last checkpoint; invalid input is not retried."""
     preset: str | None = None
     """Passed to ggavatar-train, like --steps, --split, --device, --max-gaussians and --set."""
     steps: int | None = None
     """Number of steps of every training."""
     minutes: float | None = None
-    """Wall time of every training instead: as many steps as fit, measured by a pilot of 100 steps beside each run."""
+    """Minutes of wall time per training, instead of --steps; a 100-step pilot measures the speed."""
     split: str | None = None
     """Frames to train and test on."""
     device: str | None = None

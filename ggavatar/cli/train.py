@@ -24,10 +24,10 @@ class Arguments:
 
     capture: Positional[Path]
     """Folder written by ggavatar-prep."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
+    """Folder of the run."""
     method: Positional[str] = "ggavatar"
     """Method or variant, as listed above."""
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="RUN")] = None
-    """Folder of the run (required)."""
     preset: Literal["default", "fast", "paper"] | None = None
     """default: suited to the device; fast: a preview within minutes; paper: 120,000 steps, as published."""
     steps: int | None = None
@@ -35,7 +35,7 @@ class Arguments:
     seed: int | None = None
     """Seed of all random numbers; 42 if not given."""
     device: str | None = None
-    """auto, cpu, cuda or cuda:N."""
+    """auto, cpu, cuda, cuda:N or mps."""
     backend: str | None = None
     """Rasterizer: auto, cpu, reference or gsplat."""
     split: str | None = None
@@ -45,7 +45,7 @@ class Arguments:
     max_gaussians: int | None = None
     """Largest number of Gaussians."""
     eval_every: int | None = None
-    """Steps between two evaluations on test frames; 0 is never."""
+    """Steps between two evaluations on test frames; 0 disables evaluation."""
     save_every: int | None = None
     """Steps between two checkpoints."""
     set: UseAppendAction[tuple[str, ...]] = ()
@@ -74,8 +74,6 @@ def _train(arguments: Arguments) -> int:
     from ggavatar.training.session import TrainingInterrupted, train_run
     from ggavatar.training.trainer import TrainingError
 
-    if arguments.output is None:
-        raise InputError("expected a folder for the run, found none; add -o RUN")
     if arguments.resume and arguments.overwrite:
         raise InputError("--resume and --overwrite are mutually exclusive; leave one out")
     try:

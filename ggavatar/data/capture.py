@@ -192,7 +192,7 @@ class Capture:
             yield self.image_path(IMAGES, number)
             yield self.image_path(MASKS, number)
 
-    def describe(self) -> None:
+    def write_metadata(self) -> None:
         """Write tracking.npz and then capture.json, which completes the capture; each atomically."""
         write_npz(self.folder / TRACKING, self.tracking.arrays())
         splits = {name: {"train": list(split.train), "test": list(split.test)} for name, split in self.splits.items()}
@@ -230,7 +230,7 @@ class Capture:
                 write_png(copy.image_path(IMAGES, number), image)
                 write_png(copy.image_path(MASKS, number), mask)
             write_npz(copy.folder / HEAD, head)
-            copy.describe()
+            copy.write_metadata()
 
 
 class _AtomicFolder:

@@ -1,4 +1,4 @@
-"""Training and test frames: the split rules of the field, each giving two explicit lists."""
+"""Training and test frames: the split rules common in the literature, each giving two explicit lists."""
 
 from __future__ import annotations
 

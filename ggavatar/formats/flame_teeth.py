@@ -52,8 +52,8 @@ def with_teeth(mean: HeadModel, head: HeadModel) -> HeadModel:
     count = WITH_TEETH_VERTICES - FLAME_VERTICES
     weights = head.skinning_weights.new_zeros(count, len(head.parents))
     lower = torch.tensor([strip in (1, 3, 6, 7) for strip in range(8)]).repeat_interleave(STRIP_LENGTH)
-    weights[~lower, head.joint("neck")] = 1
-    weights[lower, head.joint("jaw")] = 1
+    weights[~lower, head.joint_index("neck")] = 1
+    weights[lower, head.joint_index("jaw")] = 1
 
     def padded(values: Tensor) -> Tensor:
         return torch.cat((values, values.new_zeros(count, *values.shape[1:])))

@@ -38,7 +38,7 @@ class TriangleArrays(NamedTuple):
 
 
 class GeometryArrays(NamedTuple):
-    """Means [N, 3], quaternions [N, 4] and scales [N, 3] (logarithms in local space), or the gradients by them."""
+    """Means [N, 3], quaternions [N, 4] and scales [N, 3] (logarithms in local space), or their gradients."""
 
     means: Floats
     quats: Floats
@@ -85,7 +85,7 @@ def bind_group(local, face, first, last, world):
 
 @kernel
 def backward_chunks(tickets, local, index, records, upstream, world_scales, gradient):
-    """Gradients by the local geometry of chunks of Gaussians until none is left."""
+    """Gradients with respect to the local geometry of chunks of Gaussians until none is left."""
     count = np.int64(index.size)
     local, index, records, upstream = as_pointers(local), pointer(index, 0), pointer(records, 0), as_pointers(upstream)
     world_scales, gradient = pointer(world_scales, 0), as_pointers(gradient)
@@ -99,7 +99,7 @@ def backward_chunks(tickets, local, index, records, upstream, world_scales, grad
 
 @inlined
 def backward_group(local, face, first, last, upstream, world_scales, gradient):
-    """Gradients by the local geometry of sixteen Gaussians."""
+    """Gradients with respect to the local geometry of sixteen Gaussians."""
     g = columns_3(upstream.means, first, last)
     x, y = dot((face[0], face[3], face[6]), g), dot((face[1], face[4], face[7]), g)
     store_columns(gradient.means, first * 3, (x, y, dot((face[2], face[5], face[8]), g)))
@@ -149,7 +149,7 @@ def face(records, index, n, last):
 
 @kernel
 def add_to_faces(local, index, faces, upstream, world_scales, gradient):
-    """Add the gradients by the triangles to `gradient`, in the order of the Gaussians."""
+    """Add the gradients of the triangles to `gradient`, in the order of the Gaussians."""
     for n in range(np.uint64(index.size)):
         f = np.uint64(index[n])
         size, m, g = faces.scales[f], local.means[n], upstream.means[n]
@@ -193,5 +193,5 @@ def backward(
     world_scales: Floats,
     gradient: GeometryArrays,
 ) -> None:
-    """Write the gradients by the local geometry; `gradient` has room for a multiple of sixteen rows."""
+    """Write the gradients with respect to the local geometry; `gradient` has room for a multiple of sixteen rows."""
     run_workers(backward_chunks, -(-len(index) // CHUNK), local, index, records, upstream, world_scales, gradient)

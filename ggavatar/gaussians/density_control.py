@@ -34,7 +34,7 @@ def statistics(count: int, device: torch.device | str = "cpu") -> dict[str, Tens
 
 @torch.no_grad()
 def accumulate(rows: Rows, rendering: Rendering) -> None:
-    """Add the gradients by the projected centers, in normalized device coordinates, to the statistics."""
+    """Add the gradients of the projected centers, in normalized device coordinates, to the statistics."""
     gradient = rendering.means2d.grad
     if gradient is None:
         return

@@ -44,9 +44,9 @@ def refine_group(bound, offsets, unit, first, last, refined):
 
 @kernel
 def backward_chunks(tickets, bound, offsets, unit, upstream, gradient, to_offsets):
-    """Gradients by quaternions, scales and offsets of chunks of Gaussians until none is left.
+    """Gradients with respect to quaternions, scales and offsets of chunks of Gaussians until none is left.
 
-    The gradient by the means is the upstream one. Color columns of the offsets are left alone.
+    The gradient with respect to the means is the upstream one. Color columns of the offsets are left alone.
     """
     count, width = offsets.shape
     bound, offsets, upstream = as_pointers(bound), pointer(offsets, 0), as_pointers(upstream)
@@ -62,7 +62,7 @@ def backward_chunks(tickets, bound, offsets, unit, upstream, gradient, to_offset
 
 @inlined
 def backward_group(bound, offsets, unit, rows, upstream, gradient):
-    """Write the gradients by quaternions and scales; return those by the ten offsets, padded to sixteen with zeros."""
+    """Write the gradients of quaternions and scales; return those of the ten offsets, padded to sixteen with zeros."""
     (first, last), zero = rows, splat(np.float32(0))
     m, g = columns_3(upstream.means, first, last), columns_3(upstream.scales, first, last)
     s = columns_3(bound.scales, first, last)

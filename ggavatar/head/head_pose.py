@@ -49,7 +49,7 @@ class HeadPoses:
         )
         reference = rigid(straight, poses[:, :3, 3].mean(0))
         features = _relative(poses, reference)
-        carried = [head.joint(name) for name in ("root", "neck") if name in head.joint_names]
+        carried = [head.joint_index(name) for name in ("root", "neck") if name in head.joint_names]
         in_camera = all(not bool(drive.joint_rotations[carried].any()) for drive in drives)
         return HeadPoses(reference, features.amin(0), features.amax(0), in_camera)
 
@@ -68,7 +68,7 @@ class HeadPoses:
         return invert_rigid(drive.head_to_camera) @ seen
 
     def hold_torso(self, vertices: Float[Tensor, "V 3"], drive: Drive, head: HeadModel) -> Float[Tensor, "V 3"]:
-        """Vertices in head space, m, with those skinned to the root joint moved to the torso's pose.
+        """Blend torso vertices to the torso pose, by their skinning weight of the root joint; all in head space, m.
 
         This is linear blend skinning about the neck with the head as the fixed end. Where the tracker itself rotates
         root or neck, skinning has already done this and the vertices are returned unchanged.
@@ -77,7 +77,7 @@ class HeadPoses:
             return vertices
         torso = self.torso(drive)
         moved = vertices @ torso[:3, :3].T + torso[:3, 3]
-        return torch.lerp(vertices, moved, head.skinning_weights[:, head.joint("root"), None])
+        return torch.lerp(vertices, moved, head.skinning_weights[:, head.joint_index("root"), None])
 
 
 def _relative(poses: Float[Tensor, "T 4 4"], reference: Float[Tensor, "4 4"]) -> Float[Tensor, "T 9"]:

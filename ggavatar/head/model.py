@@ -64,7 +64,7 @@ class HeadModel:
         changes["regions"] = {name: moved(rows) for name, rows in self.regions.items()}
         return dataclasses.replace(self, **changes)
 
-    def joint(self, name: str) -> int:
+    def joint_index(self, name: str) -> int:
         """Index of a joint by name; `ValueError` if the head has no such joint."""
         if name not in self.joint_names:
             raise ValueError(f"expected a joint of {self.joint_names}, got {name!r}")
@@ -88,9 +88,10 @@ class HeadModel:
     def vertices(self, drive: Drive) -> Float[Tensor, "V 3"]:
         """Vertices of the posed head, m; differentiable in every field of `drive` and in every array of the head.
 
-        The order is FLAME's (Li et al. 2017, Eq. 1–4): expression → joints → pose correctives → skinning → eyelids →
-        translation. Eyelid displacements rotate with the neck, so that they stay rigid with the head; with an unrotated
-        neck this equals metrical-tracker's addition after skinning.
+        The order is that of FLAME's published code: expression → joints → pose correctives → skinning → eyelids →
+        translation. Joints are regressed from the template with expressions, where the paper (Li et al. 2017, Eq. 1–4)
+        has them depend on the identity alone. Eyelid displacements rotate with the neck, so that they stay rigid with
+        the head; with an unrotated neck this equals metrical-tracker's addition after skinning.
         """
         shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
         joints = self.joint_regressor @ shaped
@@ -104,7 +105,7 @@ class HeadModel:
         matrices = (blend @ linear.flatten(1)).view(-1, 3, 3)
         posed = (matrices @ shaped[:, :, None]).squeeze(-1) + blend @ offset
         lids = (self.eyelid_basis.flatten(0, 1) @ drive.eyelids).view_as(posed)
-        carrier = linear[self.joint("neck")] if "neck" in self.joint_names else linear[0]
+        carrier = linear[self.joint_index("neck")] if "neck" in self.joint_names else linear[0]
         return posed + lids @ carrier.T + drive.translation
 
     def joint_transforms(self, drive: Drive) -> tuple[Float[Tensor, "J 3 3"], Float[Tensor, "J 3"]]:

@@ -84,7 +84,7 @@ def _products(x, y, padded):
 
 @inlined
 def _similarity(blurred, mean_y, square_y, factor, sums, derivatives):
-    """Add `factor` times a line of SSIM to `sums`; write its derivatives by the local means of x, x² and x·y."""
+    """Add `factor` times a line of SSIM to `sums`; write its derivatives in the local means of x, x² and x·y."""
     one, two = np.float32(1), np.float32(2)
     for i in range(np.uint64(sums.size)):
         mx, my = blurred[0, i], mean_y[i]

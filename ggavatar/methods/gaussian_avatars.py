@@ -128,7 +128,7 @@ OWN_SCHEDULE: dict[str, Any] = {
 }
 """The schedule of GaussianAvatars, scaled to any length."""
 
-GGAVATAR_SCHEDULE: dict[str, Any] = {
+GGAVATAR_PAPER_SCHEDULE: dict[str, Any] = {
     "iterations": PAPER_STEPS,
     "position_iterations": 60_000,
     "sh_iterations": 1_000,
@@ -158,10 +158,14 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "with_perceptual": {"perceptual_weight": 0.02},
     "without_finetuning": {"finetuning": False},
     "own_schedule": OWN_SCHEDULE,
-    "seed_schedule": GGAVATAR_SCHEDULE,
+    "seed_schedule": GGAVATAR_PAPER_SCHEDULE,
 }
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": GGAVATAR_SCHEDULE}
+PRESETS: dict[str, dict[str, Any]] = {
+    "default": SHORT_TRAINING,
+    "fast": SHORT_TRAINING,
+    "paper": GGAVATAR_PAPER_SCHEDULE,
+}
 
 
 def build(config: Config, scene: Scene) -> GaussianAvatars:

@@ -257,7 +257,7 @@ class GaussianBlendshapes(nn.Module):
         transforms = self.skin.transforms(self.head, drive)
         if self.config.pose_on == "camera" or not self.poses.in_camera:
             return transforms
-        return self.skin.hold_torso(transforms, self.poses.torso(drive), self.head.joint("root"))
+        return self.skin.hold_torso(transforms, self.poses.torso(drive), self.head.joint_index("root"))
 
     def _differences(self, weights: Float[Tensor, "N M"]) -> tuple[Tensor, ...]:
         """Blended differences of positions, quaternions, log-scales, opacity logits and harmonics."""
@@ -328,7 +328,7 @@ def face_tables(head: HeadModel, spreads: Float[Tensor, " K"], teeth: bool) -> t
     changes, skin = transfer_blendshapes(head.template, head.faces, displacements), FaceSkinning.of(head)
     if not teeth:
         return changes, skin
-    rigid = [head.joint(name if name in head.joint_names else head.joint_names[0]) for name in ("neck", "jaw")]
+    rigid = [head.joint_index(name if name in head.joint_names else head.joint_names[0]) for name in ("neck", "jaw")]
     return changes.with_static_faces(2), skin.with_rigid_faces(rigid)
 
 

@@ -29,24 +29,27 @@ from ggavatar.methods import ggavatar
 
 @dataclass(frozen=True)
 class Config:
-    """Settings that differ from the paper. Iterations refer to 120,000 and scale with the length of the training."""
+    """Settings of what is ours, and the shared ones that it changes or exposes.
+
+    Iterations refer to 120,000 and scale with the length of the training.
+    """
 
     torso: bool = True
-    """Whether the torso stays still while the head turns."""
+    """Whether the torso keeps its own pose, tracked or else at rest, instead of turning with the head."""
     pose_condition: bool = True
     """Whether the latent network receives the head pose."""
     color_unit: float = 0.1
     """sRGB color per unit of a color row; 0 removes the color rows."""
     latent: int = 32
-    """Length of the latent vector."""
+    """Length of the latent vector; the default of `ggavatar`."""
     network_rate: float = 1e-3
     """Learning rate of the networks; ten times the paper's, for trainings a tenth as long or shorter."""
     position_rate: float = 1e-2
     """Learning rate of local positions at the start, triangle units; twice the paper's."""
     position_iterations: int = 120_000
-    """Iterations over which it falls; 120,000 lets rows that are added late still move."""
+    """Iterations over which the position rate falls; with 120,000, rows that are added late can still move."""
     scale_rate: float = 0.017
-    """Learning rate of the logarithms of local scales; GaussianAvatars', three times the paper's."""
+    """Learning rate of the logarithms of local scales; GaussianAvatars', 3.4 times the paper's."""
     color_rate: float = 1e-2
     """Learning rate of the constant spherical harmonic; four times that of 3DGS."""
     sh_degree: int = 1
@@ -60,7 +63,7 @@ class Config:
     alpha_weight: float = 0.1
     """Weight of the mean absolute difference between coverage and mask."""
     perceptual_weight: float = 0.02
-    """Weight of the perceptual loss on crops (λ2)."""
+    """Weight of the perceptual loss on crops (λ2); the paper's."""
     crop_side: int = 96
     """Side of a crop, px."""
     crop_probability: float = 0.1

@@ -93,7 +93,7 @@ def _forward(ctx: Any, features: Tensor, parameters: tuple[Tensor, ...]) -> Tens
 
 
 def _backward(ctx: Any, upstream: Tensor) -> tuple[Int64[ndarray, " A"], Float32[ndarray, "A D"], list[Tensor]]:
-    """Indices of the rows with a gradient, gradients by their features, and by every weight and bias."""
+    """Indices of the rows with a gradient, gradients with respect to their features, and to every weight and bias."""
     from ggavatar.networks import mlp_kernel as kernels
 
     matrices = tuple(_flat(matrix) for matrix in (*ctx.saved_tensors, upstream.contiguous()))

@@ -1,7 +1,7 @@
 """A perceptron with two hidden ReLU layers, and its gradient, block by block (compiled).
 
 The torch twin is `mlp.perceptron_in_torch`. A block of rows passes through all layers within the cache. The backward
-pass skips rows without an upstream gradient, which is exact. Gradients by the weights are summed within fixed chunks of
+pass skips rows without an upstream gradient, which is exact. Weight gradients are summed within fixed chunks of
 rows and then over the chunks in order, so that results do not depend on the number of threads.
 """
 
@@ -169,7 +169,7 @@ def _rectifier_backward(gradient, activations):
 def backward_range(matrices, layers, active, sums, to_features):
     """Add the gradients of one chunk to `sums`: the `active` rows of features, two hidden layers and upstream.
 
-    The gradients by these rows' features are written one after the other to `to_features`.
+    The gradients with respect to these rows' features are written one after the other to `to_features`.
     """
     one, two, end = layers
     features, kept_1, kept_2, upstream = matrices
@@ -227,8 +227,8 @@ class Gradients(NamedTuple):
 
     Attributes:
         rows: Indices of the rows that have a gradient.
-        features: Gradients by these rows' features.
-        layers: Gradients by every layer's weight and bias.
+        features: Gradients with respect to these rows' features.
+        layers: Gradients with respect to every layer's weight and bias.
     """
 
     rows: Int64[ndarray, " A"]
@@ -263,7 +263,7 @@ def _bounds(layers: Layers) -> list[slice]:
 
 
 def _unpadded(total: Sums, layers: Layers) -> list[tuple[Floats, Floats]]:
-    """Gradients by every layer's weight and bias, without padding."""
+    """Gradients with respect to every layer's weight and bias, without padding."""
     found = []
     for number, layer in enumerate(layers):
         weight = total[2 * number].reshape(layer.bias.size, -1)

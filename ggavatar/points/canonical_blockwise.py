@@ -2,7 +2,7 @@
 
 The result is that of `canonical_reference.evaluate_surface_in_torch`, in float32 on a CPU. The backward pass visits
 only points with an upstream gradient; points that are hidden in the image cost the forward pass only. Hidden layers can
-be bfloat16; positions, outputs and the gradients by all parameters are float32.
+be bfloat16; positions, outputs and the gradients of all parameters are float32.
 """
 
 from __future__ import annotations

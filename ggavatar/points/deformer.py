@@ -1,4 +1,4 @@
-"""Deformation of canonical points: learned blendshapes and skinning weights, and their derivatives by position.
+"""Deformation of canonical points: learned blendshapes and skinning weights, and their derivatives in position.
 
 At any canonical point the network gives an offset to the head model's canonical shape, a basis for expressions and pose
 correctives, and skinning weights (PointAvatar, Sec. 3.2). Normals need the Jacobian of the whole deformation, so three

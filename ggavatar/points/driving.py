@@ -73,7 +73,7 @@ class SkeletonDriver:
             still, rest = torso[:3, :3], torso[:3, 3]
         shift = rest - drive.translation
         if self.poses.in_camera and self.root_is_still:
-            root = torch.arange(len(offsets), device=offsets.device) == self.head.joint("root")
+            root = torch.arange(len(offsets), device=offsets.device) == self.head.joint_index("root")
             rotations = torch.where(root[:, None, None], still @ rotations, rotations)
             offsets = torch.where(root[:, None], offsets @ still.T + shift, offsets)
         return PosedSkeleton(
@@ -91,7 +91,7 @@ def canonical_drive(head: HeadModel, drives: Sequence[Drive], jaw: float) -> Dri
     still = head.neutral_drive()
     joints = still.joint_rotations.clone()
     if "jaw" in head.joint_names:
-        joints[head.joint("jaw"), 0] = jaw
+        joints[head.joint_index("jaw"), 0] = jaw
     expression = torch.stack([drive.expression for drive in drives]).mean(0)
     lids = torch.stack([drive.eyelids for drive in drives]).mean(0)
     return dataclasses.replace(still, joint_rotations=joints, expression=expression, eyelids=lids)

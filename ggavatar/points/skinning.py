@@ -19,7 +19,7 @@ class BoneTransforms(NamedTuple):
 
 
 class DeformedPoints(NamedTuple):
-    """Posed points; `tangents[:, k]` is their derivative by the k-th coordinate of the canonical point."""
+    """Posed points; `tangents[:, k]` is their derivative with respect to the k-th coordinate of the canonical point."""
 
     points: Float[Tensor, "N 3"]
     tangents: Float[Tensor, "N 3 3"]
@@ -72,7 +72,7 @@ def deformed_normals(tangents: Float[Tensor, "N 3 3"], normals: Float[Tensor, "N
     """Unit normals after a deformation: n J⁻¹, from cross products of the Jacobian's columns.
 
     Args:
-        tangents: The transposed Jacobian Jᵀ: row k is the derivative by the k-th canonical coordinate.
+        tangents: The transposed Jacobian Jᵀ: row k is the derivative with respect to the k-th canonical coordinate.
         normals: Canonical normals, of any length.
     """
     first, second, third = tangents.unbind(1)

@@ -50,7 +50,7 @@ def camera_center(world_to_camera: Float[Tensor, "4 4"]) -> Float[Tensor, " 3"]:
 
 
 def jacobian(points: Float[Tensor, "N 3"], camera: Camera) -> Float[Tensor, "N 2 3"]:
-    """Derivative of the pixel position by the camera-space position, at points clamped to the widened view.
+    """Derivative of pixel positions with respect to camera-space positions, at points clamped to the widened view.
 
     The view is widened as in gsplat: at every image edge by 0.3 of half the image, wherever the principal point is.
     """

@@ -59,7 +59,7 @@ class Cell:
 
     @property
     def pilot(self) -> Cell:
-        """The short training that measures how long a step takes: the same cell in a folder beside."""
+        """The short training that measures how long a step takes: the same cell in a sibling folder."""
         return dataclasses.replace(self, folder=self.folder.with_name(self.folder.name + "-pilot"))
 
 

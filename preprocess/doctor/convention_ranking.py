@@ -15,7 +15,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.doctor.conventions import AXES, OTHERS, Hypothesis
 from preprocess.doctor.frame_offset import brightness_changes, find_offset
-from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
+from preprocess.tracking.geometry.projection import mask_iou, posed_vertices, project, silhouette
 
 SIDE = 128
 """Longer side of the reduced masks, px."""
@@ -71,7 +71,7 @@ def _overlap_above(covered: np.ndarray, mask: np.ndarray) -> float:
         return 0.0
     # Only if the silhouette is about as tall as the person; a speck high up must not exclude the rest of the mask.
     last = rows[-1] + 1 if rows[-1] - rows[0] > 0.5 * np.count_nonzero(mask.any(axis=1)) else len(covered)
-    return overlap(covered[:last], mask[:last])
+    return mask_iou(covered[:last], mask[:last])
 
 
 def prepare_convention_test(capture: Capture, head: HeadModel) -> ConventionTest:

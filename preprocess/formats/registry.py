@@ -27,15 +27,15 @@ class Importer(Protocol):
 
     TITLE: str
 
-    def recognizes(self, folder: Path) -> bool:
-        """Whether the folder or file looks like this format; cheap, never raises for other content."""
+    def recognizes(self, path: Path) -> bool:
+        """Whether the file or folder looks like this format; cheap, never raises for other content."""
         ...
 
-    def read(self, folder: Path) -> TrackingRecord:
+    def read(self, path: Path) -> TrackingRecord:
         """Read the tracking in our conventions; `InputError` naming the file for anything wrong."""
         ...
 
-    def write(self, folder: Path, record: TrackingRecord) -> None:
+    def write(self, path: Path, record: TrackingRecord) -> None:
         """Write the format as exactly as it can hold the tracking; `InputError` if it cannot."""
         ...
 
@@ -54,11 +54,11 @@ def importer(name: str) -> Importer:
     return cast(Importer, importlib.import_module(f"preprocess.formats.importers.{wanted}"))
 
 
-def detect_format(folder: Path) -> str:
-    """The name of the format of a folder or file; `InputError` if none or several recognize it."""
-    if not folder.exists():
-        raise InputError(f"{folder}: no such file or folder; --tracking expects the output of another tracker")
-    found = [name for name in importer_names() if importer(name).recognizes(folder)]
+def detect_format(path: Path) -> str:
+    """The name of the format of a file or folder; `InputError` if none or several recognize it."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; --tracking expects the output of another tracker")
+    found = [name for name in importer_names() if importer(name).recognizes(path)]
     if len(found) == 1:
         return found[0]
     formats = "; ".join(f"{name} ({importer(name).TITLE})" for name in importer_names())
@@ -67,16 +67,16 @@ def detect_format(folder: Path) -> str:
         if found
         else f"expected the output of a known tracker, found none. Known formats: {formats}"
     )
-    raise InputError(f"{folder}: {what}")
+    raise InputError(f"{path}: {what}")
 
 
 def read_tracking_record(options: PrepOptions) -> tuple[str, TrackingRecord]:
     """The format's name, detected unless `--format` gives it, and the tracking that `--tracking` names."""
-    folder = options.tracking
-    if folder is None:
+    path = options.tracking
+    if path is None:
         raise InputError("expected --tracking with the output of another tracker")
-    name = detect_format(folder) if options.format == "auto" else options.format
-    record = importer(name).read(folder)
+    name = detect_format(path) if options.format == "auto" else options.format
+    record = importer(name).read(path)
     if SWAPPED_SIZE in options.fix:
         record = dataclasses.replace(record, width=record.height, height=record.width)
     return name, record

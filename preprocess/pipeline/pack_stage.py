@@ -42,7 +42,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         source=_provenance(context),
         dropped=_dropped(numbers, context),
     )
-    capture.describe()
+    capture.write_metadata()
     Capture.open(context.folder)
     for item in capture.dropped:
         for folder in ("images", "masks"):

@@ -59,10 +59,10 @@ def run(context: StageContext) -> Mapping[str, Any]:
         size = (frame.width, frame.height)
         context.reporter.advance(len(numbers), None)
     _check_count(options, len(numbers))
-    for loss in source.losses():
+    for error in source.decode_errors():
         if options.strict:
-            raise GateError(f"{options.input}: {loss} (--strict)")
-        context.reporter.warn(f"{options.input}: {loss}; the frames before are kept")
+            raise GateError(f"{options.input}: {error} (--strict)")
+        context.reporter.warn(f"{options.input}: {error}; the frames before are kept")
     return {
         "name": options.input.name,
         "sha256": _digest(options.input),
@@ -72,7 +72,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         "numbers": numbers,
         "faces": [list(map(float, face)) for face in faces if face is not None],
         "faces_looked_for": len(faces),
-        "losses": source.losses(),
+        "losses": source.decode_errors(),
     }
 
 

@@ -112,13 +112,13 @@ class Studio:
             for item in self._character.short_hair
         ]
         nodes = swing_hair(scalp_hair.nodes, self._performance.head_to_room[index], self._lags[:, index], hair.flex)
-        parts.append((nodes, self._hair_color, np.full(len(nodes), hair.width), scalp_hair.openness))
+        parts.append((nodes, self._hair_color, np.full(len(nodes), hair.width), scalp_hair.ambient_visibility))
         strands = []
-        for nodes, tones, widths, openness in parts:
+        for nodes, tones, widths, ambient_visibility in parts:
             pixels = project(nodes.reshape(-1, 3), room.intrinsics(side), room.room_to_camera()).reshape(nodes.shape)
             taper = np.interp(np.linspace(0, 1, nodes.shape[1]), [0, 0.5, 1.0], [1.0, 0.95, 0.35])
             size = widths[:, None] * taper * room.intrinsics(side)[0, 0] / pixels[..., 2]
-            strands.append(Strands(pixels, strand_colors(nodes, tones, openness, self._lights, shadow), size))
+            strands.append(Strands(pixels, strand_colors(nodes, tones, ambient_visibility, self._lights, shadow), size))
         rasterize_strands(strands, depth, color, alpha)
 
     def _glass(self, geometry: PosedGeometry, shadow: Shadow, color: ndarray, depth: ndarray) -> None:

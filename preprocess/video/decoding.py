@@ -28,7 +28,7 @@ class Video:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._losses: list[str] = []
+        self._decode_errors: list[str] = []
         with path.open("rb") as file, self._container(file) as container:
             self._stream(container)
 
@@ -60,12 +60,12 @@ class Video:
         return streams[0]
 
     def frames(self) -> Iterator[DecodedFrame]:
-        """Decode from the first frame on; damaged parts are skipped and counted (see `losses`).
+        """Decode from the first frame on; damaged parts are skipped and counted (see `decode_errors`).
 
         Raises:
             InputError: The frame size changes within the video.
         """
-        self._losses = []
+        self._decode_errors = []
         with self.path.open("rb") as file, self._container(file) as container:
             stream = self._stream(container)
             stream.thread_type = "AUTO"
@@ -95,31 +95,31 @@ class Video:
             except StopIteration:
                 break
             except (av.error.FFmpegError, ValueError) as error:
-                self._losses.append(f"reading stopped early: {_error_text(error)}")
+                self._decode_errors.append(f"reading stopped early: {_error_text(error)}")
                 break
             try:
                 yield from packet.decode()
             except (av.error.FFmpegError, ValueError):
                 damaged += 1
         if damaged:
-            self._losses.append(f"{damaged} damaged packets were skipped")
+            self._decode_errors.append(f"{damaged} damaged packets were skipped")
 
     def _compare_length(self, container: Any, stream: Any, count: int, last: float) -> None:
-        """Note a loss if the stream ends before its stated duration; stated frame counts are wrong under edit lists."""
+        """Record an error if the stream ends before its stated duration; edit lists falsify stated frame counts."""
         stated = _stated_seconds(container, stream)
         if stated is None or count == 0:
             return
         start, step = float((stream.start_time or 0) * stream.time_base), 1 / float(stream.average_rate or 25)
         missing = start + stated - (last + step)
         if missing > max(0.5, 2.5 * step):
-            self._losses.append(
+            self._decode_errors.append(
                 f"expected {stated:.1f} s of video as the file states, but it ends {missing:.1f} s earlier after "
                 f"{count} frames; it is probably truncated"
             )
 
-    def losses(self) -> list[str]:
+    def decode_errors(self) -> list[str]:
         """Descriptions of what could not be decoded; complete once `frames` is exhausted."""
-        return list(self._losses)
+        return list(self._decode_errors)
 
 
 def _stated_seconds(container: Any, stream: Any) -> float | None:

@@ -43,6 +43,6 @@ class FrameSource(Protocol):
         """All frames in order; each call starts from the first."""
         ...
 
-    def losses(self) -> list[str]:
+    def decode_errors(self) -> list[str]:
         """Descriptions of what could not be decoded; complete once `frames` is exhausted."""
         ...

@@ -45,7 +45,7 @@ class ImageFolder:
                 raise InputError(f"{path}: expected {size[0]}×{size[1]} px like the first image, found {found}")
             yield DecodedFrame(number, row / self._fps, header.width, header.height, partial(read_rgb, path))
 
-    def losses(self) -> list[str]:
+    def decode_errors(self) -> list[str]:
         """Empty: an image that cannot be read raises an error instead."""
         return []
 

@@ -35,7 +35,22 @@ from ggavatar.render.cpu.blending import (
     initial_transmittance,
 )
 from ggavatar.render.cpu.forward import canvas_pointers
-from ggavatar.render.cpu.layout import BLUE, DEPTH, GREEN, OPACITY, RECORD, RED, SIZE, TILE, TILES, XX, XY, YY, X, Y
+from ggavatar.render.cpu.layout import (
+    BLUE,
+    DEPTH,
+    GREEN,
+    OPACITY,
+    RECORD,
+    RED,
+    SIZE,
+    TILE,
+    TILES,
+    WHITEN_XX,
+    WHITEN_XY,
+    WHITEN_YY,
+    X,
+    Y,
+)
 
 SUMS, SUMS_READ = 12, 16
 """Floats of a slot (sums over the pixels of a tile, offsets below), and how many are read at once."""
@@ -134,7 +149,7 @@ def load_tile(scratch, view, canvas, incoming, left, top):
 def entry_sums(scratch, record, hits, left, top):
     """The sums of one Gaussian over the blocks it touches in a tile; advances their state past the Gaussian."""
     offset_x, offset_y = record[X] - left, record[Y] - top
-    offset_u, offset_v = -(record[XX] * offset_x + record[XY] * offset_y), -(record[YY] * offset_y)
+    offset_u, offset_v = -(record[WHITEN_XX] * offset_x + record[WHITEN_XY] * offset_y), -(record[WHITEN_YY] * offset_y)
     zero = splat(np.float32(0))
     reds, greens, blues, depths, log_alphas = zero, zero, zero, zero, zero
     us, vs, uus, uvs, vvs = zero, zero, zero, zero, zero
@@ -142,8 +157,8 @@ def entry_sums(scratch, record, hits, left, top):
         offset = lowest_bit(hits) * BLOCK_STATE
         hits &= hits - 1
         x, y = load(scratch, offset + 96), load(scratch, offset + 112)
-        u = fma(x, record[XX], fma(y, record[XY], splat(offset_u)))
-        v = fma(y, record[YY], splat(offset_v))
+        u = fma(x, record[WHITEN_XX], fma(y, record[WHITEN_XY], splat(offset_u)))
+        v = fma(y, record[WHITEN_YY], splat(offset_v))
         power, raw_alpha = coverage(u, v, splat(record[OPACITY]))
         alpha, weight, blended, transmittance, _ = blend(power, raw_alpha, load(scratch, offset))
         red, green, blue = load(scratch, offset + 32), load(scratch, offset + 48), load(scratch, offset + 64)

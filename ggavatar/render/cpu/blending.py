@@ -13,7 +13,7 @@ import numpy as np
 from ggavatar.jit.kernels import inlined
 from ggavatar.jit.simd import absolute, bits_of, exp2, floor, fma, lane_indices, maximum, minimum, negate, select
 from ggavatar.render.constants import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE
-from ggavatar.render.cpu.layout import REACH, STEP_X, STEP_Y, XX, XY, YY
+from ggavatar.render.cpu.layout import REACH, STEP_X, STEP_Y, WHITEN_XX, WHITEN_XY, WHITEN_YY
 
 TILES_PER_TICKET = 4
 """Tiles that a thread takes at once."""
@@ -68,8 +68,8 @@ def touched_blocks(record, x, y):
 @inlined
 def square_distance(record, dx, dy):
     """u² + v² at an offset from the center: half the squared Mahalanobis distance, in units of ln 2."""
-    u = fma(dx, record[XX], dy * record[XY])
-    v = dy * record[YY]
+    u = fma(dx, record[WHITEN_XX], dy * record[WHITEN_XY])
+    v = dy * record[WHITEN_YY]
     return fma(u, u, v * v)
 
 

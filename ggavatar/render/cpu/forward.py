@@ -39,9 +39,9 @@ from ggavatar.render.cpu.layout import (
     SIZE,
     TILE,
     TILES,
-    XX,
-    XY,
-    YY,
+    WHITEN_XX,
+    WHITEN_XY,
+    WHITEN_YY,
     X,
     Y,
 )
@@ -150,8 +150,8 @@ def gather_batch(work, entries, size, records, corner, unfinished):
         record = pointer(records, source)
         x, y = record[X] - corner[0], record[Y] - corner[1]
         mask[number] = np.uint16(touched_blocks(record, x, y) & unfinished)
-        scratch[target + X] = -(record[XX] * x + record[XY] * y)
-        scratch[target + Y] = -(record[YY] * y)
+        scratch[target + X] = -(record[WHITEN_XX] * x + record[WHITEN_XY] * y)
+        scratch[target + Y] = -(record[WHITEN_YY] * y)
 
 
 @inlined
@@ -165,8 +165,8 @@ def draw_block(scratch, mask, block):
     while bits != 0:
         record = 16 * STATE + lowest_bit(bits) * RECORD
         bits &= bits - 1
-        u = fma(x, scratch[record + XX], fma(y, scratch[record + XY], splat(scratch[record + X])))
-        v = fma(y, scratch[record + YY], splat(scratch[record + Y]))
+        u = fma(x, scratch[record + WHITEN_XX], fma(y, scratch[record + WHITEN_XY], splat(scratch[record + X])))
+        v = fma(y, scratch[record + WHITEN_YY], splat(scratch[record + Y]))
         power, raw_alpha = coverage(u, v, splat(scratch[record + OPACITY]))
         _, weight, _, transmittance, finished_pixels = blend(power, raw_alpha, transmittance)
         red = fma(weight, scratch[record + RED], red)

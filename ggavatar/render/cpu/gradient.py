@@ -43,9 +43,9 @@ from ggavatar.render.cpu.layout import (
     RECORD,
     RED,
     ROTATION,
-    XX,
-    XY,
-    YY,
+    WHITEN_XX,
+    WHITEN_XY,
+    WHITEN_YY,
     cloud_pointers,
     combine,
     image_axes,
@@ -131,7 +131,10 @@ def differentiate_group(scratch, cloud, view, footprints, sums, gradients, first
     zero = np.float32(0)
     seen = (load(footprints.radii, first) > zero) & lane_index_below(last - first + 1)
     records = transpose(load_rows(footprints.records, first, first + 15, RECORD, 0))
-    mean2d = (TWO_LN2 * records[XX] * sums[SUM_U], TWO_LN2 * fma(records[XY], sums[SUM_U], records[YY] * sums[SUM_V]))
+    mean2d = (
+        TWO_LN2 * records[WHITEN_XX] * sums[SUM_U],
+        TWO_LN2 * fma(records[WHITEN_XY], sums[SUM_U], records[WHITEN_YY] * sums[SUM_V]),
+    )
     shape = covariance_gradient(records, sums)
     colors = color_gradients_of(cloud, records, sums, seen)
     means = columns_3(cloud.means, first, last)
@@ -151,7 +154,7 @@ def differentiate_group(scratch, cloud, view, footprints, sums, gradients, first
 @inlined
 def covariance_gradient(records, sums):
     """Entries xx, xy, yy of the symmetric gradient of the image covariance: ½ Σ w · (conic d)(conic d)ᵀ."""
-    xx, xy, yy = records[XX], records[XY], records[YY]
+    xx, xy, yy = records[WHITEN_XX], records[WHITEN_XY], records[WHITEN_YY]
     factor = HALF * TWO_LN2 * TWO_LN2
     mixed = fma(xy, sums[SUM_UU], yy * sums[SUM_UV])
     last = fma(xy, mixed, yy * fma(xy, sums[SUM_UV], yy * sums[SUM_VV]))

@@ -25,12 +25,13 @@ CENTER, SIZE, TILES, BACKGROUND = 20, 23, 25, 27
 The rotation is row-major, `CENTER` is the camera's position in the world, and `TILES` the numbers of tiles.
 """
 
-XX, XY, YY, X, Y, OPACITY, RED, GREEN, BLUE, DEPTH, STEP_Y, STEP_X, REACH, RECORD = *range(13), 16
+WHITEN_XX, WHITEN_XY, WHITEN_YY, X, Y, OPACITY, RED, GREEN, BLUE, DEPTH, STEP_Y, STEP_X, REACH, RECORD = *range(13), 16
 """Offsets in the record of a Gaussian, and its length in floats (64 bytes).
 
-XX, XY and YY are whitening rows: u = XX dx + XY dy and v = YY dy give log2 alpha = OPACITY − u² − v². X and Y are the
-center in px, OPACITY is log2 of the opacity, DEPTH camera z. STEP_Y is the y of the point with the smallest u² + v² on
-the line dx = 1, STEP_X the x of that on dy = 1, and REACH log2 of 255 · opacity with a little slack.
+WHITEN_XX, WHITEN_XY and WHITEN_YY are the upper triangle of the whitening matrix, not entries of the covariance:
+u = WHITEN_XX dx + WHITEN_XY dy and v = WHITEN_YY dy give log2 alpha = OPACITY − u² − v². X and Y are the center in px,
+OPACITY is log2 of the opacity, DEPTH camera z. STEP_Y is the y of the point with the smallest u² + v² on the line
+dx = 1, STEP_X the x of that on dy = 1, and REACH log2 of 255 · opacity with a little slack.
 """
 
 
@@ -108,7 +109,7 @@ def rotation_columns(quat):
 
 @inlined
 def image_axes(view, point):
-    """Rows of J W, the derivative of the pixel position by the world position; also 1/z, x/z and y/z.
+    """Rows of J W, the derivative of the pixel position with respect to the world position; also 1/z, x/z and y/z.
 
     The ratios x/z and y/z are clamped to the widened view.
     """

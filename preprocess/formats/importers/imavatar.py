@@ -27,18 +27,18 @@ DEFAULT_SIZE = 512
 """Image side that older files assume, px."""
 
 
-def recognizes(folder: Path) -> bool:
+def recognizes(path: Path) -> bool:
     """Whether the path is flame_params.json or a folder that contains it."""
-    return _path(folder).is_file()
+    return _json_file(path).is_file()
 
 
-def _path(folder: Path) -> Path:
-    return folder if folder.name == "flame_params.json" else folder / "flame_params.json"
+def _json_file(path: Path) -> Path:
+    return path if path.name == "flame_params.json" else path / "flame_params.json"
 
 
-def read(folder: Path) -> TrackingRecord:
+def read(path: Path) -> TrackingRecord:
     """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
-    path = _path(folder)
+    path = _json_file(path)
     data = read_json(path)
     frames = {last_number(path, frame.get("file_path")): frame for frame in frame_list(path, data)}
     numbers = sorted(frames)
@@ -92,7 +92,7 @@ def _frame(path: Path, frame: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray
     return pose, joints, number_array(path, frame.get("expression"), (None,), "'expression'")
 
 
-def write(folder: Path, record: TrackingRecord) -> None:
+def write(path: Path, record: TrackingRecord) -> None:
     """Write flame_params.json; frame numbers are shifted to start at 1.
 
     Raises:
@@ -110,7 +110,7 @@ def write(folder: Path, record: TrackingRecord) -> None:
         "shape_params": np.pad(shape, (0, 100 - len(shape))).tolist(),
         "intrinsics": [float(value) for value in relative],
     }
-    write_json(_path(folder), content)
+    write_json(_json_file(path), content)
 
 
 def _entry(record: TrackingRecord, row: int, number: int) -> dict[str, Any]:

@@ -16,29 +16,29 @@ TITLE = (
 )
 
 
-def recognizes(folder: Path) -> bool:
+def recognizes(path: Path) -> bool:
     """Whether the path is an npz file that contains `world_to_camera`."""
-    if folder.suffix.lower() != ".npz" or not folder.is_file():
+    if path.suffix.lower() != ".npz" or not path.is_file():
         return False
     try:
-        return "world_to_camera" in npz_headers(folder)
+        return "world_to_camera" in npz_headers(path)
     except InputError:
         return False
 
 
-def read(folder: Path) -> TrackingRecord:
+def read(path: Path) -> TrackingRecord:
     """Read the file; an optional string `version` names the FLAME version.
 
     Raises:
         InputError: An array is missing, malformed or of the wrong shape.
     """
-    arrays = read_tracking(folder)
+    arrays = read_tracking(path)
     count = arrays["intrinsics"].shape[0]
-    check_tracking(folder, arrays, count)
+    check_tracking(path, arrays, count)
     if arrays["joint_rotations"].shape[1] != 5:
-        raise InputError(f"{folder}: expected rotations of 5 joints (root, neck, jaw, left eye, right eye)")
-    extra = read_npz(folder, ["frames", "width", "height", "version"])
-    width, height = (_size(folder, extra, key) for key in ("width", "height"))
+        raise InputError(f"{path}: expected rotations of 5 joints (root, neck, jaw, left eye, right eye)")
+    extra = read_npz(path, ["frames", "width", "height", "version"])
+    width, height = (_size(path, extra, key) for key in ("width", "height"))
     numbers = extra.get("frames", np.arange(count))
     if (
         numbers.shape != (count,)
@@ -46,7 +46,7 @@ def read(folder: Path) -> TrackingRecord:
         or np.any(np.diff(numbers) <= 0)
         or numbers.min(initial=0) < 0
     ):
-        raise InputError(f"{folder}: expected 'frames' to be {count} ascending frame numbers of 0 or more")
+        raise InputError(f"{path}: expected 'frames' to be {count} ascending frame numbers of 0 or more")
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     values = {name: arrays[name].astype(np.float64) for name in names}
     record = TrackingRecord(
@@ -62,7 +62,7 @@ def read(folder: Path) -> TrackingRecord:
         shape=arrays["shape"].astype(np.float64) if "shape" in arrays else None,
         version=str(extra["version"]) if "version" in extra else None,
     )
-    return require_finite(folder, record)
+    return require_finite(path, record)
 
 
 def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:
@@ -75,7 +75,7 @@ def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:
     return int(value)
 
 
-def write(folder: Path, record: TrackingRecord) -> None:
+def write(path: Path, record: TrackingRecord) -> None:
     """Write the file."""
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     arrays = {name: getattr(record, name) for name in names}
@@ -84,4 +84,4 @@ def write(folder: Path, record: TrackingRecord) -> None:
         arrays["shape"] = record.shape
     if record.version is not None:
         arrays["version"] = np.array(record.version)
-    write_npz(folder, arrays)
+    write_npz(path, arrays)

@@ -26,9 +26,9 @@ _STUCK, _FREE = 0.0004, 0.0030
 def tracked_vertices(head: HeadModel, performance: Performance, index: int) -> Float[ndarray, "V 3"]:
     """The head model's vertices in one frame, head space, m."""
     rotations = torch.zeros(len(head.parents), 3)
-    rotations[head.joint("jaw")] = torch.from_numpy(performance.jaw[index])
-    rotations[head.joint("left_eye")] = torch.from_numpy(performance.eyes[index, 0])
-    rotations[head.joint("right_eye")] = torch.from_numpy(performance.eyes[index, 1])
+    rotations[head.joint_index("jaw")] = torch.from_numpy(performance.jaw[index])
+    rotations[head.joint_index("left_eye")] = torch.from_numpy(performance.eyes[index, 0])
+    rotations[head.joint_index("right_eye")] = torch.from_numpy(performance.eyes[index, 1])
     drive = dataclasses.replace(
         head.neutral_drive(),
         expression=torch.from_numpy(performance.expression[index]).float(),

@@ -264,7 +264,7 @@ def _scalp_hair(
     face, weights = sample_surface(points, faces, density, person.hair.strands, np.random.default_rng([seed, 2]))
     scalp_hair = grow_scalp_hair(np.einsum("sk,skc->sc", weights, points[faces[face]]), person.hair, seed)
     nodes = warp_points(scalp_hair.nodes.reshape(-1, 3), identity * _rigid_identity()).reshape(scalp_hair.nodes.shape)
-    return ScalpHair(nodes, scalp_hair.tone, scalp_hair.openness)
+    return ScalpHair(nodes, scalp_hair.tone, scalp_hair.ambient_visibility)
 
 
 def _short_hair(

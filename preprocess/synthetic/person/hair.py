@@ -30,12 +30,12 @@ class ScalpHair:
     Attributes:
         nodes: Positions from root to tip, head space, m.
         tone: Brightness factor of every strand.
-        openness: How exposed to the light every node is, from 0 inside the hair to 1 outside.
+        ambient_visibility: How much ambient light reaches every node, from 0 inside the hair to 1 outside.
     """
 
     nodes: Float[ndarray, "S N 3"]
     tone: Float[ndarray, " S"]
-    openness: Float[ndarray, "S N"]
+    ambient_visibility: Float[ndarray, "S N"]
 
 
 def sample_surface(
@@ -66,9 +66,9 @@ def grow_scalp_hair(roots: Float[ndarray, "S 3"], hair: HairStyle, seed: int) ->
     nodes = _march_strands(roots, lengths, layer, hair, generator)
     nodes = _clump(nodes, hair, generator)
     share = np.linspace(0, 1, NODES)
-    openness = np.clip(0.25 + 0.45 * layer[:, None] + 0.35 * share * (0.4 + 0.6 * layer[:, None]), 0, 1)
+    ambient_visibility = np.clip(0.25 + 0.45 * layer[:, None] + 0.35 * share * (0.4 + 0.6 * layer[:, None]), 0, 1)
     tone = np.clip(1 + 0.22 * generator.standard_normal(count) + 0.18 * noise(roots, 0.02, seed + 9), 0.4, 1.8)
-    return ScalpHair(nodes, tone, openness)
+    return ScalpHair(nodes, tone, ambient_visibility)
 
 
 def _lengths(roots: ndarray, hair: HairStyle) -> ndarray:
@@ -136,7 +136,7 @@ def _away_from_face(points: ndarray) -> ndarray:
 
 
 def _clump(nodes: ndarray, hair: HairStyle, generator: np.random.Generator) -> ndarray:
-    """Strands drawn towards a few leaders and curled with the phase of their clump."""
+    """Strands pulled towards a few guide strands and curled with the phase of their clump."""
     leaders = generator.choice(len(nodes), min(max(40, len(nodes) // 32), len(nodes)), replace=False)
     _, clump = cKDTree(nodes[leaders, 0]).query(nodes[:, 0])
     leader = nodes[leaders[clump]]

@@ -13,7 +13,7 @@ from preprocess.synthetic.rendering.shading import Lights, Shadow, shadowed
 def strand_colors(
     nodes: Float[ndarray, "S N 3"],
     tones: Float[ndarray, "S 3"],
-    openness: Float[ndarray, "S N"],
+    ambient_visibility: Float[ndarray, "S N"],
     lights: Lights,
     shadow: Shadow,
 ) -> Float[ndarray, "S N 3"]:
@@ -22,18 +22,18 @@ def strand_colors(
     Args:
         nodes: Positions, m.
         tones: Linear color of each strand.
-        openness: Fraction of light that reaches each node through the other strands.
+        ambient_visibility: Fraction of light that reaches each node through the other strands.
         lights: The room's lights.
         shadow: Shadow map of the key light.
     """
     colors = np.empty(nodes.shape, np.float32)
-    single = (np.ascontiguousarray(values, np.float32) for values in (nodes, tones, openness))
+    single = (np.ascontiguousarray(values, np.float32) for values in (nodes, tones, ambient_visibility))
     _light(*single, lights, shadow, colors)
     return colors
 
 
 @kernel
-def _light(nodes, tones, openness, lights, shadow, colors):
+def _light(nodes, tones, ambient_visibility, lights, shadow, colors):
     """Fill `colors` [S, N, 3] node by node."""
     count = nodes.shape[1]
     for strand in range(nodes.shape[0]):
@@ -48,13 +48,13 @@ def _light(nodes, tones, openness, lights, shadow, colors):
             vx, vy, vz = lights.camera[0] - x, lights.camera[1] - y, lights.camera[2] - z
             length = np.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx / length, vy / length, vz / length
-            exposure = openness[strand, node]
+            visibility = ambient_visibility[strand, node]
             lit = shadowed(shadow, x, y, z)
             for channel in range(3):
-                colors[strand, node, channel] = tones[strand, channel] * exposure * (0.65 * lights.sky[channel] + 0.2)
+                colors[strand, node, channel] = tones[strand, channel] * visibility * (0.65 * lights.sky[channel] + 0.2)
             for light in range(lights.directions.shape[0]):
                 lx, ly, lz = lights.directions[light, 0], lights.directions[light, 1], lights.directions[light, 2]
-                reach = exposure * (0.25 + 0.75 * lit if light == 0 else 0.8)
+                reach = visibility * (0.25 + 0.75 * lit if light == 0 else 0.8)
                 cosine = tx * lx + ty * ly + tz * lz
                 sine = np.sqrt(max(1 - cosine * cosine, 0.0))
                 hx, hy, hz = lx + vx, ly + vy, lz + vz

@@ -9,9 +9,9 @@ from numpy import ndarray
 
 from ggavatar.geometry.transforms import look_at
 
-_EYE = np.array([0.0, -0.010, 0.980])
-_TARGET = np.array([0.0, -0.022, 0.0])
-_FOCAL = 2.30
+_EYE = np.array([0.0, -0.010, 0.980])  # m, in the room
+_TARGET = np.array([0.0, -0.022, 0.0])  # m, in the room
+_FOCAL = 2.30  # focal length / image size
 
 
 def intrinsics(size: int) -> Float[ndarray, "3 3"]:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int, Int8
 def bilinear(
     maps: Int8[np.ndarray, "T H W"], frames: Int[np.ndarray, " K"], positions: Float[np.ndarray, "K P 2"]
 ) -> tuple[Float[np.ndarray, "K P"], Float[np.ndarray, "K P 2"], Bool[np.ndarray, "K P"]]:
-    """Interpolated values and their derivatives by position.
+    """Interpolated values and their derivatives with respect to position.
 
     Args:
         maps: One per frame.
@@ -17,8 +17,8 @@ def bilinear(
         positions: x and y in px of the maps, pixel centers at +0.5.
 
     Returns:
-        Values, extrapolated outside of the map; their derivatives by x and y, per px of the map; and whether the
-        position lies between pixel centers.
+        Values, extrapolated outside of the map; their derivatives with respect to x and y, per px of the map; and
+        whether the position lies between pixel centers.
     """
     height, width = maps.shape[1:]
     centered = positions - 0.5

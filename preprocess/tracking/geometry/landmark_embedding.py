@@ -1,11 +1,12 @@
 """Landmarks as points on the triangles of a head: the canonical face is registered to the head once.
 
-The margins of lips and lids are matched first, then the rest follows onto the skin.
+The margins of lips and lids are matched first; the other landmarks are then warped along with them and projected onto
+the nearest skin.
 
-`closest_points` is kept beside `trimesh.proximity.closest_point`. On the canonical and the drawn face it agrees to
-1e-14 m with a search over all triangles, at half the time or less; trimesh breaks near-ties by the direction to the
-point, up to 3.4 µm farther, which moves embedded landmarks by up to 0.40 mm (measured with trimesh 5.2), and needs
-rtree, which we do not depend on.
+`closest_points` is kept beside `trimesh.proximity.closest_point`. On MediaPipe's canonical face and on the average face
+that replaces it (`ggavatar.landmarks.average_face`), it agrees to 1e-14 m with a search over all triangles, at half the
+time or less; trimesh breaks near-ties by the direction to the point, up to 3.4 µm farther, which moves embedded
+landmarks by up to 0.40 mm (measured with trimesh 5.2), and needs rtree, which we do not depend on.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def at_landmarks(matrix: csr_array, values: Float[np.ndarray, "V ..."]) -> Float
 def embed_landmarks(face: CanonicalFace, head: HeadModel) -> LandmarkEmbedding:
     """Embed all 468 landmarks in the skin of a procedural head.
 
-    The margins of lips and lids are matched along their curves; the rest follows by alternating a smooth warp and
-    nearest skin points.
+    The margins of lips and lids are matched along their curves; the other landmarks by alternating a smooth warp and a
+    projection onto the nearest skin points.
     """
     template = head.template.numpy().astype(np.float64)
     skin = skin_faces(head)

@@ -113,7 +113,7 @@ def _sample(image: np.ndarray, corners: Float[np.ndarray, "F 3 2"], count: int) 
     image[down[within], across[within]] = 255
 
 
-def overlap(left: Bool[np.ndarray, "H W"], right: Bool[np.ndarray, "H W"]) -> float:
-    """Intersection over union; 0 if both are empty."""
+def mask_iou(left: Bool[np.ndarray, "H W"], right: Bool[np.ndarray, "H W"]) -> float:
+    """Intersection over union of two masks; 0 if both are empty."""
     union = np.count_nonzero(left | right)
     return np.count_nonzero(left & right) / union if union else 0.0

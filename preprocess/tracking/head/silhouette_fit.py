@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from ggavatar.data.capture import Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.tracking.geometry.projection import overlap, posed_vertices, project, silhouette
+from preprocess.tracking.geometry.projection import mask_iou, posed_vertices, project, silhouette
 from preprocess.tracking.geometry.rigid import evenly_spaced
 from preprocess.tracking.geometry.surface_extension import SurfaceExtension
 from preprocess.tracking.head.generic_head import GenericHead
@@ -180,6 +180,6 @@ def silhouette_overlap(head: HeadModel, tracking: Tracking, outlines: OutlineMas
         vertices = posed_vertices(head, tracking, row)
         intrinsics = np.diag([outlines.scale, outlines.scale, 1.0]) @ tracking.intrinsics[row]
         pixels, distances = project(vertices, intrinsics, tracking.world_to_camera[row])
-        return overlap(silhouette(pixels, distances, head.faces.numpy(), mask.shape[::-1]), mask > 127)
+        return mask_iou(silhouette(pixels, distances, head.faces.numpy(), mask.shape[::-1]), mask > 127)
 
     return float(np.mean(list(ordered_map(score, zip(outlines.rows.tolist(), outlines.masks, strict=True)))))

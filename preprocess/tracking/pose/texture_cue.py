@@ -136,7 +136,7 @@ class TextureCue:
         return replace(self, depths=depths + np.linalg.solve(normal, vector), reference=reference)
 
     def _intensities(self, poses: RigidPoses, frames: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Intensities of the patches in some frames, their weights, and their derivatives by depth, 1/m."""
+        """Intensities of the patches in some frames, their weights, and their derivatives in depth, 1/m."""
         here = poses[frames]
         points, intensities, gradients, weights = self._sample(here, frames)
         by_depth = np.matmul(projection_jacobian(points, self.intrinsics.focal), here.rotations[:, None, :, 2:])[..., 0]

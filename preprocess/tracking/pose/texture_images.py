@@ -17,8 +17,10 @@ FACE_MARGIN = 1.3
 """Side of the cropped square over the larger side of the face's bounding box."""
 FINE_SIGMA, COARSE_SIGMA = 1.5, 5.0
 """Standard deviations of the two blurs of the band-pass, px of the small images."""
-INTENSITY_OFFSET, MINIMUM_CONTRAST = 8.0, 0.02
-"""Added to gray levels before the logarithm, against noise in the dark; added in squares to the local contrast."""
+INTENSITY_OFFSET = 8.0
+"""Added to gray levels before the logarithm, so that noise in the dark does not dominate."""
+MINIMUM_CONTRAST = 0.02
+"""Its square is added to the local mean square of the contrast, so that flat areas are not amplified."""
 CONTRAST_STEPS = 32
 """Steps per unit of normalized contrast in which it is stored."""
 

@@ -134,8 +134,8 @@ def track_torso(
         masks: 8-bit foreground, 255 = person; each is read once, by several threads.
         fps: Frames per second.
     """
-    torso_joints = [head.joint(name) for name in ("root", "neck") if name in head.joint_names]
-    torso_weights = head.skinning_weights[:, head.joint("root")].numpy()
+    torso_joints = [head.joint_index(name) for name in ("root", "neck") if name in head.joint_names]
+    torso_weights = head.skinning_weights[:, head.joint_index("root")].numpy()
     if tracking.joint_rotations[:, torso_joints].any() or not (torso_weights > 0.5).any():
         return None
     depth = np.where(torso_weights < 0.01, head.template[:, 2].numpy(), -np.inf)
@@ -156,7 +156,7 @@ def track_torso(
     views, first = tracking.world_to_camera.astype(np.float64), tracking.intrinsics[0]
     translations = views[:, :3, 3] + np.einsum("tij,tj->ti", views[:, :3, :3], tracking.translation)
     intrinsics = PinholeIntrinsics(float(first[0, 0]), (float(first[0, 2]), float(first[1, 2])))
-    pivot = (head.joint_regressor @ head.template)[head.joint("root")].numpy()
+    pivot = (head.joint_regressor @ head.template)[head.joint_index("root")].numpy()
     return torso_poses(motions, RigidPoses(views[:, :3, :3], translations), pivot, intrinsics, fps).matrices()
 
 

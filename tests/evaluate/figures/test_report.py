@@ -20,7 +20,7 @@ from evaluate.figures.evaluation_images import EvaluationImages, display_names, 
 from evaluate.figures.report import report_data, write_report
 from evaluate.figures.report_images import report_images
 from evaluate.figures.worst_frames import worst_frames_sheet
-from evaluate.figures.write import write_studies, write_visuals
+from evaluate.figures.write import write_comparisons, write_figures
 from evaluate.protocols.protocol import protocol_by_name
 from evaluate.protocols.results import Evaluation, write_results
 from evaluate.scoring.frame_files import frame_file
@@ -156,13 +156,13 @@ def test_curves_and_worst_sheet(tmp_path: Path) -> None:
 def test_identical_and_unmeasured_frames_can_be_drawn(tmp_path: Path) -> None:
     one = evaluated(tmp_path, "ours", 0)
     assert all(value == math.inf for value in one.evaluation.values["psnr"])
-    files = write_visuals(one, one.predictions.parent)
+    files = write_figures(one, one.predictions.parent)
     assert len(files) == 5
     nothing = dataclasses.replace(one.evaluation, values={"psnr": (None,) * len(FRAMES)})
     unmeasured = dataclasses.replace(one, evaluation=nothing)
     for path in files:
         path.unlink()
-    assert [path.name for path in write_visuals(unmeasured, one.predictions.parent)] == [
+    assert [path.name for path in write_figures(unmeasured, one.predictions.parent)] == [
         "report.html", "comparison.png", "side_by_side.mp4",
     ]  # fmt: skip
 
@@ -170,7 +170,7 @@ def test_identical_and_unmeasured_frames_can_be_drawn(tmp_path: Path) -> None:
 def test_figures_are_written_once(tmp_path: Path) -> None:
     one = evaluated(tmp_path, "ours", 3)
     home = one.predictions.parent
-    files = write_visuals(one, home)
+    files = write_figures(one, home)
     assert [path.name for path in files] == [
         "report.html",
         "comparison.png",
@@ -179,13 +179,13 @@ def test_figures_are_written_once(tmp_path: Path) -> None:
         "worst.png",
     ]
     times = [path.stat().st_mtime_ns for path in files]
-    assert [path.stat().st_mtime_ns for path in write_visuals(one, home)] == times
+    assert [path.stat().st_mtime_ns for path in write_figures(one, home)] == times
     other, second_subject = evaluated(tmp_path, "theirs", 5), evaluated(tmp_path, "ours", 4, subject="b/c")
-    study = write_studies([one, other, second_subject], tmp_path)
+    study = write_comparisons([one, other, second_subject], tmp_path)
     assert [path.name for path in study] == ["comparison-toy.png", "report-toy.html"]
-    gallery = write_studies([one, second_subject], tmp_path)
+    gallery = write_comparisons([one, second_subject], tmp_path)
     assert [path.name for path in gallery] == ["comparison.png"]
-    assert write_studies([one], tmp_path) == write_studies([], tmp_path) == []
+    assert write_comparisons([one], tmp_path) == write_comparisons([], tmp_path) == []
 
 
 @pytest.mark.slow

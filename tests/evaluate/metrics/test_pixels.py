@@ -99,7 +99,7 @@ def test_an_empty_mask_gives_none_and_a_mask_of_other_size_is_refused() -> None:
 
 def test_pooling_never_exceeds_the_mean_of_images() -> None:
     errors = [0.01, 0.0001, 0.002]
-    mean = sum(pixels.decibels(error) for error in errors) / 3
+    mean = sum(pixels.psnr_from_mse(error) for error in errors) / 3
     pooled = pixels.pooled_psnr(errors)
     assert pooled == pytest.approx(-10 * math.log10(sum(errors) / 3))
     assert pooled < mean

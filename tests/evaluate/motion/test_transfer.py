@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.motion.driving_sequence import Cameras, DrivingSequence, driving_sequence_of, read_driving_sequence
-from evaluate.motion.retarget import basis_family, retarget
+from evaluate.motion.retarget import basis_family, match_basis
 from evaluate.motion.smoothing import one_euro, savgol, smoothed
 from evaluate.motion.transfer import (
     TransferOptions,
@@ -174,23 +174,23 @@ def test_another_basis_is_refused_and_its_family_filled_up_by_force() -> None:
     target = motion(2)
     shorter = dataclasses.replace(motion(1), expression=np.ones((12, 2)))
     with pytest.raises(InputError, match="--force-basis"):
-        retarget(shorter, target)
-    filled = retarget(shorter, target, force=True)
+        match_basis(shorter, target)
+    filled = match_basis(shorter, target, force=True)
     assert filled.expression[0].tolist() == [1, 1, 0, 0] and filled.head_version == "toy-1"
     newer = dataclasses.replace(motion(1), head_version="toy-2")
     with pytest.raises(InputError, match="'toy-2'"):
-        retarget(newer, target)
-    assert retarget(newer, target, force=True).expression.shape == (12, 4)
+        match_basis(newer, target)
+    assert match_basis(newer, target, force=True).expression.shape == (12, 4)
     for force in (False, True):
         with pytest.raises(InputError, match="mean different things"):
-            retarget(dataclasses.replace(motion(1), head_version="pca-of-bob"), target, force)
+            match_basis(dataclasses.replace(motion(1), head_version="pca-of-bob"), target, force)
     assert {basis_family(tag) for tag in ("flame2020", "FLAME2023", "flame-2023.1")} == {"flame"}
 
 
 def test_joints_are_matched_by_name() -> None:
     target, driver = motion(2), motion(1)
     turned = dataclasses.replace(driver, joint_names=("jaw", "root"), joint_rotations=driver.joint_rotations[:, :2])
-    fitted = retarget(turned, target)
+    fitted = match_basis(turned, target)
     np.testing.assert_array_equal(fitted.joint_rotations[:, 2], driver.joint_rotations[:, 0])
     np.testing.assert_array_equal(fitted.joint_rotations[:, 0], driver.joint_rotations[:, 1])
     assert not fitted.joint_rotations[:, [1, 3, 4]].any()

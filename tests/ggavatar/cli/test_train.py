@@ -42,7 +42,7 @@ def test_help_lists_methods_and_starts_without_torch() -> None:
     ("words", "message"),
     [
         (["{missing}", "-o", "{out}"], "no such file"),
-        (["{capture}"], "add -o RUN"),
+        (["{capture}"], "-o RUN"),
         (["{capture}", "gavatar", "-o", "{out}"], "did you mean ggavatar?"),
         (["{capture}", "-o", "{out}", "--set", "latnet=3"], "did you mean latent?"),
         (["{capture}", "-o", "{out}", "--set", "latent=many"], "expected int"),
@@ -93,7 +93,7 @@ def test_training_says_what_it_wrote_and_what_is_next(
 
 
 def test_options_left_open_are_absent() -> None:
-    assert options_of(Arguments(Path("c"), steps=3)) == {
+    assert options_of(Arguments(Path("c"), Path("r"), steps=3)) == {
         "method": "ggavatar",
         "steps": 3,
         "set": [],

@@ -122,4 +122,4 @@ def test_moving_to_another_dtype_keeps_integers() -> None:
 
 def test_unknown_joint_names_those_there() -> None:
     with pytest.raises(ValueError, match="left_eye"):
-        random_head().joint("tail")
+        random_head().joint_index("tail")

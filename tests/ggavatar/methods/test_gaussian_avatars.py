@@ -16,7 +16,7 @@ from ggavatar.data.scene import Scene
 from ggavatar.gaussians.density_control import split
 from ggavatar.head.model import HeadModel
 from ggavatar.methods.gaussian_avatars import (
-    GGAVATAR_SCHEDULE,
+    GGAVATAR_PAPER_SCHEDULE,
     OWN_SCHEDULE,
     Config,
     GaussianAvatars,
@@ -124,7 +124,7 @@ def test_paper_preset_is_the_seed_papers_schedule(toy_capture: Capture, toy_head
     for name, preset, wanted in (
         ("", "default", OWN_SCHEDULE),
         ("_own_schedule", "paper", OWN_SCHEDULE),
-        ("_seed_schedule", "fast", GGAVATAR_SCHEDULE),
+        ("_seed_schedule", "fast", GGAVATAR_PAPER_SCHEDULE),
     ):
         config = registry.load(f"gaussian_avatars{name}").config(preset)
         assert {field: getattr(config, field) for field in wanted} == wanted

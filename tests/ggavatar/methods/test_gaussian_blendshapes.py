@@ -226,7 +226,7 @@ def test_teeth_follow_head_and_jaw_rigidly(toy_capture: Capture, toy_head: HeadM
     means = avatar.gaussians(drive).means
     for which, joint in enumerate(("neck", "jaw")):
         teeth = avatar.rows["face"] == len(toy_head.faces) + which
-        index = toy_head.joint(joint)
+        index = toy_head.joint_index(joint)
         wanted = avatar.rows["means"][teeth] @ turns[index].T + shifts[index]
         assert int(teeth.sum()) == 30 and torch.allclose(means[teeth], wanted, atol=1e-6)
 

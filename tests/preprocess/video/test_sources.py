@@ -154,7 +154,7 @@ def test_edit_list_that_lies_about_the_count(tmp_path):
     video = Video(tmp_path / "cut.mp4")
     numbers, times, _ = seen(video)
     assert len(numbers) == shown <= stated == 50
-    assert times[0] == 0 and video.losses() == []
+    assert times[0] == 0 and video.decode_errors() == []
 
 
 def test_ten_bit_hevc(tmp_path):
@@ -208,12 +208,12 @@ def test_truncated_video_keeps_what_decodes_and_says_so(tmp_path):
     numbers, _, decoded = seen(video)
     assert 5 < len(numbers) < 50 and decoded[:-3] == numbers[:-3]
     assert (
-        len(video.losses()) == 1
-        and "probably truncated" in video.losses()[0]
-        and str(len(numbers)) in video.losses()[0]
+        len(video.decode_errors()) == 1
+        and "probably truncated" in video.decode_errors()[0]
+        and str(len(numbers)) in video.decode_errors()[0]
     )
     whole = Video(path)
-    assert len(seen(whole)[0]) == 50 and whole.losses() == []
+    assert len(seen(whole)[0]) == 50 and whole.decode_errors() == []
 
 
 def test_truncated_mp4_without_index(tmp_path):
@@ -308,4 +308,4 @@ def test_real_clips_have_the_right_number_of_frames(data_folder):
     for name, count in counts.items():
         video = Video(data_folder / "clips" / f"{name}.mp4")
         assert sum(1 for _ in video.frames()) == count
-        assert video.losses() == []
+        assert video.decode_errors() == []

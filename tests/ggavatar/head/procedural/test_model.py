@@ -29,7 +29,7 @@ def head() -> HeadModel:
 def driven(head: HeadModel, *, jaw: float = 0.0, lids: float = 0.0, **expression: float) -> np.ndarray:
     drive = head.neutral_drive()
     coefficients, rotations = drive.expression.clone(), drive.joint_rotations.clone()
-    rotations[head.joint("jaw"), 0] = jaw
+    rotations[head.joint_index("jaw"), 0] = jaw
     for name, value in expression.items():
         coefficients[procedural_names()[0].index(name)] = value
     changed = dataclasses.replace(

@@ -190,7 +190,7 @@ def test_no_torso_poses_without_texture_or_where_the_tracker_rotates_the_neck() 
     gray, masks = [np.full((512, 512, 3), 90, np.uint8)] * 6, [np.full((512, 512), 255, np.uint8)] * 6
     assert track_torso(head, tracking, gray, masks, 25.0) is None
     turned = tracking.joint_rotations.copy()
-    turned[:, head.joint("neck"), 0] = 0.1
+    turned[:, head.joint_index("neck"), 0] = 0.1
     textured = [cloth((0.0, 0.0))] * 6
     assert track_torso(head, dataclasses.replace(tracking, joint_rotations=turned), textured, masks, 25.0) is None
     assert track_torso(head, tracking, textured, masks, 25.0) is not None

@@ -78,14 +78,14 @@ def test_a_longer_neck_lowers_only_the_torso_and_its_joint(generic: GenericHead,
     arm = shape.joints[JOINT_NAMES.index("torso")] - shape.joints[JOINT_NAMES.index("cervical")]
     down = NECK_UNIT * arm / np.linalg.norm(arm)
     axis = head.expression_basis[:, :, -1].numpy()
-    torso_alone = head.skinning_weights[:, head.joint("torso")].numpy() > 0.999
+    torso_alone = head.skinning_weights[:, head.joint_index("torso")].numpy() > 0.999
     assert torso_alone.sum() > 100
     np.testing.assert_allclose(axis[torso_alone], np.tile(down, (torso_alone.sum(), 1)), atol=1e-5)
     assert np.abs(axis[generic.regions["face"]]).max() < 0.02 * NECK_UNIT, "the chin's underside belongs to both"
     moved = head.joint_regressor.numpy() @ axis
-    np.testing.assert_allclose(moved[head.joint("torso")], down, atol=0.05 * NECK_UNIT)
+    np.testing.assert_allclose(moved[head.joint_index("torso")], down, atol=0.05 * NECK_UNIT)
     for name in ("neck", "jaw", "left_eye", "right_eye", "cervical"):
-        assert np.abs(moved[head.joint(name)]).max() < 2e-4, name
+        assert np.abs(moved[head.joint_index(name)]).max() < 2e-4, name
 
 
 def test_closed_lids_meet(generic: GenericHead, person: Person) -> None:
@@ -106,7 +106,7 @@ def test_closed_lids_meet(generic: GenericHead, person: Person) -> None:
 def test_torso_joint_leaves_the_head_alone(generic: GenericHead, person: Person) -> None:
     head, _ = person
     turns = torch.zeros(len(head.parents), 3)
-    turns[head.joint("cervical"), 0], turns[head.joint("torso"), 1] = 0.2, 0.1
+    turns[head.joint_index("cervical"), 0], turns[head.joint_index("torso"), 1] = 0.2, 0.1
     moved = (head.vertices(dataclasses.replace(head.neutral_drive(), joint_rotations=turns)) - head.template).norm(
         dim=1
     )
