@@ -1,4 +1,4 @@
-"""GGAvatar plus: the paper's avatar with a still torso, the head pose as a condition, and condition-dependent colors.
+"""GGAvatar plus: a torso that does not turn with the head, the head pose as a condition, condition-dependent colors.
 
 Ours. It wraps a `ggavatar.GGAvatar` and defines only the differences, whose effects are measured in
 docs/experiments/2026-11-28-ggavatar-plus-ablation.md.
