@@ -164,3 +164,19 @@ def test_triangle_frames_pass_gradients_to_vertices() -> None:
     vertices = torch.randn(6, 3, dtype=torch.float64, requires_grad=True)
     faces = torch.tensor([[0, 1, 2], [3, 4, 5]])
     assert torch.autograd.gradcheck(lambda v: tuple(triangle_frames(v, faces)), (vertices,))
+
+
+def test_rotations_agree_with_kornia() -> None:
+    """Reference: kornia.geometry.conversions, another implementation in torch."""
+    from kornia.geometry import conversions
+
+    axis_angle = torch.randn(200, 3, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
+    axis_angle *= 3.0 / axis_angle.norm(dim=1, keepdim=True).clamp_min(3.0)  # below a half turn, where signs agree
+    matrices = axis_angle_to_matrix(axis_angle)
+    torch.testing.assert_close(matrices, conversions.axis_angle_to_rotation_matrix(axis_angle), atol=2e-6, rtol=0)
+    quats = matrix_to_quaternion(matrices)
+    theirs = conversions.rotation_matrix_to_quaternion(matrices)
+    torch.testing.assert_close(quats * (quats * theirs).sum(1, keepdim=True).sign(), theirs, atol=2e-6, rtol=0)
+    torch.testing.assert_close(
+        quaternion_to_matrix(quats), conversions.quaternion_to_rotation_matrix(quats), atol=1e-9, rtol=0
+    )
