@@ -6,6 +6,7 @@ import dataclasses
 import json
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,8 @@ def _finish(options: Options, evaluations: list[Evaluation], written: list[Path]
 def _collect(options: Options) -> tuple[list[Evaluation], list[Path]]:
     """Evaluations of the given runs or folders, and the files written for them."""
     if options.folders.pred:
-        evaluation = score_folders(options, show_progress("scoring", options.quiet))
+        with show_progress("scoring", options.quiet) as progress:
+            evaluation = score_folders(options, progress)
         return [evaluation], write_results(evaluation, _table_folder(options))
     evaluations: list[Evaluation] = []
     written: list[Path] = []
@@ -96,7 +98,10 @@ def _collect(options: Options) -> tuple[list[Evaluation], list[Path]]:
             continue
         from evaluate.scoring.run import evaluate_run
 
-        evaluation, files = evaluate_run(path, options, lambda title: show_progress(title, options.quiet))
+        with ExitStack() as stack:
+            evaluation, files = evaluate_run(
+                path, options, lambda title: stack.enter_context(show_progress(title, options.quiet))
+            )
         evaluations.append(evaluation)
         written += files
     if options.labels:
@@ -152,7 +157,8 @@ def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: 
         ]
     written: list[Path] = []
     for metrics_folder, images in found:
-        written += write_figures(images, metrics_folder, show_progress("drawing", options.quiet))
+        with show_progress("drawing", options.quiet) as progress:
+            written += write_figures(images, metrics_folder, progress)
     return written + write_comparisons([images for _, images in found], folder)
 
 

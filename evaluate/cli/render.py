@@ -21,7 +21,9 @@ def main() -> int:
         check(options)
         from evaluate.rendering.jobs import render
 
-        for path in render(options, show_progress("rendering")):
+        with show_progress("rendering") as progress:
+            written = render(options, progress)
+        for path in written:
             sys.stdout.write(f"{path}\n")
 
     return run_command(body)

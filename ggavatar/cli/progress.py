@@ -7,38 +7,30 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from ggavatar.training.progress import PLAIN_INTERVAL, RateMeter, format_duration
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 ProgressCallback = Callable[[int, int], None]
 """Is called with (done, total) whenever a part of the work is done."""
 
-_running_bar: Progress | None = None
 
-
-def show_progress(title: str, quiet: bool = False) -> ProgressCallback:
-    """A callback that shows how much of some work is done.
+@contextmanager
+def show_progress(title: str, quiet: bool = False) -> Iterator[ProgressCallback]:
+    """Gives a callback that shows how much of some work is done; a bar is removed with the context, also by an error.
 
     Args:
         title: What is being done, as in "rendering"; the clock starts now.
         quiet: Show nothing.
     """
     if quiet:
-        return lambda done, total: None
-    return _bar(title) if sys.stderr.isatty() else _plain_lines(title)
-
-
-def stop_progress() -> None:
-    """Remove the bar of work that has failed, and restore the cursor; does nothing if no bar is on the terminal."""
-    global _running_bar
-    if _running_bar is not None:
-        _running_bar.stop()
-        _running_bar = None
+        yield lambda done, total: None
+    elif sys.stderr.isatty():
+        with _bar(title) as show:
+            yield show
+    else:
+        yield _plain_lines(title)
 
 
 def _plain_lines(title: str) -> ProgressCallback:
@@ -60,7 +52,8 @@ def _plain_lines(title: str) -> ProgressCallback:
     return show
 
 
-def _bar(title: str) -> ProgressCallback:
+@contextmanager
+def _bar(title: str) -> Iterator[ProgressCallback]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -70,13 +63,12 @@ def _bar(title: str) -> ProgressCallback:
     task = bar.add_task(title, total=None)
 
     def show(done: int, total: int) -> None:
-        global _running_bar
         bar.update(task, completed=done, total=total)
-        if _running_bar is not bar:
-            stop_progress()
-            bar.start()
-            _running_bar = bar
+        bar.start()  # a bar appears with the first part that is done
         if done == total:
-            stop_progress()
+            bar.stop()
 
-    return show
+    try:
+        yield show
+    finally:
+        bar.stop()

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 
 from ggavatar.cli.process import prepare_process
-from ggavatar.cli.progress import stop_progress
 from ggavatar.errors import EXIT_FAILURE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_USAGE, GateError, InputError
 
 
@@ -16,10 +15,7 @@ def run_command(main: Callable[[], int | None]) -> int:
     """Run the body of a command and return its exit code; expected failures become one message on stderr."""
     prepare_process()
     try:
-        try:
-            return main() or 0
-        finally:
-            stop_progress()
+        return main() or 0
     except InputError as error:
         return _report("error", error, EXIT_USAGE)
     except GateError as error:

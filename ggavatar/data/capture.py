@@ -26,6 +26,7 @@ from ggavatar.data.capture_schema import (
 )
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
+from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.npz import write_npz
 
@@ -182,8 +183,7 @@ class Capture:
         """SHA-256 over the contents of every file that influences a training; reads all images."""
         total = hashlib.sha256()
         for path in self._files():
-            with path.open("rb") as stream:
-                total.update(hashlib.file_digest(stream, "sha256").digest())
+            total.update(bytes.fromhex(sha256_of(path)))
         return total.hexdigest()
 
     def _files(self) -> Iterator[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import torch
@@ -13,6 +12,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
 from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.head.files import load_head
+from ggavatar.io.digests import sha256_of
 from ggavatar.render.backends import pick
 from ggavatar.training.run_folder import Run, RunConfig, choose_split
 
@@ -52,13 +52,7 @@ def open_imported_run(
         background=background,
         rasterize=pick(device, backend),
         config=RunConfig(method, str(capture.folder.resolve()), name, WHITE, device=device, backend=backend),
-        provenance={"file": str(path), "file_sha256": file_digest(path)},
+        provenance={"file": str(path), "file_sha256": sha256_of(path)},
         step=0,
         reader=Frames(capture, head, background, device),
     )
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()

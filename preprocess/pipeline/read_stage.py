@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import GateError, InputError
+from ggavatar.io.digests import sha256_of
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.frame import DecodedFrame
@@ -108,8 +109,7 @@ def _face_finder(options: PrepOptions) -> Any:
 def _digest(path: Path) -> str:
     """SHA-256 of a file, or of the names and contents of the files in a folder."""
     if path.is_file():
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        return sha256_of(path)
     total = hashlib.sha256()
     for entry in sorted(path.iterdir()):
         if entry.is_file():

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from ggavatar.cli import progress
-from ggavatar.cli.progress import show_progress, stop_progress
+from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import InputError
 
@@ -41,10 +41,10 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
 def test_plain_lines_come_every_ten_seconds_and_at_the_end(
     clock: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    report = show_progress("rendering")
-    for done in range(1, 101):
-        clock[0] += 0.25
-        report(done, 100)
+    with show_progress("rendering") as report:
+        for done in range(1, 101):
+            clock[0] += 0.25
+            report(done, 100)
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err.splitlines() == [
@@ -55,23 +55,24 @@ def test_plain_lines_come_every_ten_seconds_and_at_the_end(
 
 
 def test_work_done_before_does_not_count_as_speed(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
-    report = show_progress("rendering")
-    report(1001, 1101)
-    clock[0] += 10
-    report(1050, 1101)
+    with show_progress("rendering") as report:
+        report(1001, 1101)
+        clock[0] += 10
+        report(1050, 1101)
     assert capsys.readouterr().err == "rendering 1050/1101 · 5.0 it/s · ETA 0:10\n"
 
 
 def test_short_work_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    report = show_progress("scoring")
-    for done in (1, 2, 3):
-        report(done, 3)
+    with show_progress("scoring") as report:
+        for done in (1, 2, 3):
+            report(done, 3)
     assert capsys.readouterr().err == "scoring 3/3 in 0:00\n"
 
 
 def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
-    show_progress("scoring", quiet=True)(3, 3)
+    with show_progress("scoring", quiet=True) as report:
+        report(3, 3)
     assert terminal.getvalue() == ""
 
 
@@ -80,34 +81,42 @@ def test_a_bar_is_shown_on_a_terminal_and_leaves_stdout_alone(
 ) -> None:
     terminal = on_terminal(monkeypatch)
     before = sys.stdout
-    report = show_progress("rendering")
-    report(1, 2)
-    assert sys.stdout is before
-    sys.stdout.write("result\n")
-    report(2, 2)
+    with show_progress("rendering") as report:
+        report(1, 2)
+        assert sys.stdout is before
+        sys.stdout.write("result\n")
+        report(2, 2)
     assert "rendering" in terminal.getvalue() and "2/2" in terminal.getvalue()
     assert terminal.getvalue().rstrip().endswith("\x1b[?25h"), "the cursor is visible again"
     assert capsys.readouterr().out == "result\n"
 
 
-def test_a_bar_ends_before_the_next_one_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bar_that_is_left_early_ends_before_the_next_one_begins(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
-    first, second = show_progress("rendering"), show_progress("scoring")
-    first(1, 2)
-    second(1, 1)
-    assert terminal.getvalue().index("1/2") < terminal.getvalue().index("1/1")
-    assert progress._running_bar is None
+    with show_progress("rendering") as first:
+        first(1, 2)
+    after_first = terminal.getvalue()
+    assert "1/2" in after_first and after_first.rstrip().endswith("\x1b[?25h"), "the cursor is visible again"
+    with show_progress("scoring") as second:
+        second(1, 1)
+    assert "1/1" in terminal.getvalue().removeprefix(after_first)
+
+
+def test_a_bar_without_any_work_is_never_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    with show_progress("rendering"):
+        pass
+    assert "rendering" not in terminal.getvalue()
 
 
 def test_a_command_that_fails_removes_its_bar_before_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch)
 
     def body() -> int:
-        show_progress("rendering")(1, 2)
-        raise InputError("no such frame")
+        with show_progress("rendering") as report:
+            report(1, 2)
+            raise InputError("no such frame")
 
     assert run_command(body) == 2
     text = terminal.getvalue()
     assert text.index("\x1b[?25h") < text.index("error: no such frame")
-    stop_progress()
-    assert terminal.getvalue() == text, "stopping twice changes nothing"
