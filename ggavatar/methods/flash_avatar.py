@@ -126,6 +126,13 @@ class Config:
     """Fraction of the steps with a crop; rare crops have larger weights and would dominate the small Huber loss."""
 
 
+TABLE_NOTES = (
+    "Gaussians on a strip of triangles computed for the head, where it has no texture layout",
+    "mouth: convex hull of the lips; head: the foreground; VGG loss instead of LPIPS",
+    "background and foreground as for all methods, not head and neck in front of green",
+)
+"""Deviations from the paper, which tables print as footnotes."""
+
 VARIANTS: dict[str, dict[str, Any]] = {}
 
 SHORT_TRAINING: dict[str, Any] = {

@@ -119,6 +119,12 @@ class Config:
     """Fraction of the steps with a crop."""
 
 
+TABLE_NOTES = (
+    "with the perceptual loss that the GGAvatar paper adds (Sec. 4.2)",
+    "one camera: the extent of the scene is 1 m",
+)
+"""Deviations from the paper, which tables print as footnotes."""
+
 OWN_SCHEDULE: dict[str, Any] = {
     "iterations": 600_000,
     "position_iterations": 600_000,

@@ -137,6 +137,12 @@ class Config:
     """Fraction of the steps with a crop (ours)."""
 
 
+TABLE_NOTES = (
+    "spherical harmonics are not rotated with the skin",
+    "no LPIPS loss, as on the authors' own data",
+)
+"""Deviations from the paper, which tables print as footnotes."""
+
 SHORT_TRAINING: dict[str, Any] = {
     "perceptual_features": "best",
     "first_colors": "frames",

@@ -125,6 +125,11 @@ class Config:
     """Random points per step for the surface and head-model terms, unbiased; 0 is all points."""
 
 
+TABLE_NOTES = (
+    "one frame per step, where the authors' code has up to eight",
+)
+"""Deviations from the paper, which tables print as footnotes."""
+
 SHORT_TRAINING: dict[str, Any] = {
     "perceptual_features": "best",
     "max_points": 20_000,
