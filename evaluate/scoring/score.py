@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Protocol as Interface
 from typing import runtime_checkable
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import FaceMetrics
+from evaluate.metrics.network_files import find_lpips, network_of
 from evaluate.metrics.per_frame import measure_pixels
 from evaluate.metrics.regions import boundary_band, fill_outside
 from evaluate.protocols.protocol import Protocol
@@ -20,6 +20,7 @@ from evaluate.scoring.frame_pairs import FramePair
 from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import available_cores, ordered_map
+from ggavatar.pretrained.resolve import ModelFinder
 
 Progress = Callable[[int, int], None]
 

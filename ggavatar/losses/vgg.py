@@ -88,11 +88,9 @@ def perceptual_loss(
         InputError: `features` is "vgg16" and its weights cannot be had, a file is damaged, or there are no features of
             that name.
     """
-    if features not in get_args(FeatureChoice):
-        known = ", ".join(get_args(FeatureChoice))
-        raise InputError(
-            f"unknown features {features!r}{nearest(features, get_args(FeatureChoice))}; known are {known}"
-        )
+    known = get_args(FeatureChoice)
+    if features not in known:
+        raise InputError(f"unknown features {features!r}{nearest(features, known)}; known are {', '.join(known)}")
     if features != "random":
         try:
             return PerceptualLoss("vgg16", load_weights(resolve("vgg16", folder, offline)))

@@ -35,10 +35,8 @@ def convert(data: bytes, checkpoint: FlaxCheckpoint) -> bytes:
         except (KeyError, TypeError) as error:
             raise InputError(f"expected {checkpoint.root}/Conv_{number} in a checkpoint, found none") from error
         if kernel.ndim != 4 or bias.shape != kernel.shape[3:]:
-            found = f"{kernel.shape} and {bias.shape}"
-            raise InputError(
-                f"{checkpoint.root}/Conv_{number}: expected a kernel [H, W, I, O] and O biases, found {found}"
-            )
+            name, found = f"{checkpoint.root}/Conv_{number}", f"{kernel.shape} and {bias.shape}"
+            raise InputError(f"{name}: expected a kernel [H, W, I, O] and O biases, found {found}")
         tensors[f"features.{layer}.weight"] = kernel.transpose(3, 2, 0, 1)
         tensors[f"features.{layer}.bias"] = bias
     return to_safetensors(tensors)

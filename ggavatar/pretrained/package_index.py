@@ -63,7 +63,7 @@ class _Undelivered(Exception):
 
 
 def _limited(received: Received, size: int) -> Callable[[Link, int, int | None], None]:
-    """unearth's callback: shows the progress, and stops a download that is longer than the archive."""
+    """A callback for unearth: shows the progress, and stops a download that is longer than the archive."""
 
     def report(link: Link, completed: int, total: int | None) -> None:
         received(completed)

@@ -221,7 +221,7 @@ def _advice(name: str, model: Model, failures: list[str]) -> str:
     first = model.versions[0]
     return (
         f"model file {first.files[0]} ({model.purpose}) was not found and could not be downloaded "
-        f"({'; '.join(failures)}). It comes from {' or '.join(sources)} (SHA-256 {first.sha256[:12]}…, {model.license}): "
-        f"run ggavatar-models --fetch {name} with a network, or put the file into {downloads_folder()}, or into a folder "
-        f"given with --models or ${MODELS_VARIABLE}"
+        f"({'; '.join(failures)}). It comes from {' or '.join(sources)} (SHA-256 {first.sha256[:12]}…, "
+        f"{model.license}): run ggavatar-models --fetch {name} with a network, or put the file into "
+        f"{downloads_folder()}, or into a folder given with --models or ${MODELS_VARIABLE}"
     )

@@ -233,11 +233,10 @@ def _report(observations: Observations, fit: ClipFit) -> dict[str, Any]:
     scored = bool(clip.blendshapes.any())
     notes = [] if scored else [WITHOUT_BUNDLE]
     warning = f"no face in {lost} of {len(clip.found)} frames; their poses are taken from neighboring frames"
+    wheel = f"{MEDIAPIPE.project}=={MEDIAPIPE.version}"
     return {
         "tracker": "built-in",
-        "networks": "face_landmarker"
-        if scored
-        else f"face_landmark and iris_landmark of {MEDIAPIPE.project}=={MEDIAPIPE.version}",
+        "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {wheel}",
         "focal_px": round(fit.camera.intrinsics.focal, 1),
         "focal_spread": round(fit.log_focal_std, 3),
         "distance_m": round(float(np.median(fit.camera.poses.translations[:, 2])), 3),
