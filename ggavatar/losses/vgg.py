@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
@@ -25,8 +24,8 @@ IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 Features = tuple[Tensor, ...]
 
-FeatureChoice = Literal["best", "vgg16", "random"]
-"""`best`: VGG16 if its weights can be had, else random ones, with a warning; or one of the two by name."""
+FEATURES = ("best", "vgg16", "random")
+"""Choices of features; `best` is VGG16 if its weights can be had, else random features, with a warning."""
 
 
 class PerceptualLoss(nn.Module):
@@ -74,12 +73,12 @@ class PerceptualLoss(nn.Module):
 
 
 def perceptual_loss(
-    features: FeatureChoice = "best", folder: Path | None = None, offline: bool = False, seed: int = 0
+    features: str = "best", folder: Path | None = None, offline: bool = False, seed: int = 0
 ) -> PerceptualLoss:
     """The perceptual loss on VGG16's features, or on those of an untrained network of the same shape; see `.name`.
 
     Args:
-        features: "best", "vgg16" or "random"; a warning on stderr says that and why "best" is not VGG16.
+        features: One of `FEATURES`; a warning on stderr says that and why "best" is not VGG16.
         folder: A folder to search for weights before $GGAVATAR_MODELS and the user's cache.
         offline: Never download weights.
         seed: Seed of the random weights.
@@ -88,9 +87,9 @@ def perceptual_loss(
         InputError: `features` is "vgg16" and its weights cannot be had, a file is damaged, or there are no features of
             that name.
     """
-    known = get_args(FeatureChoice)
-    if features not in known:
-        raise InputError(f"unknown features {features!r}{nearest(features, known)}; known are {', '.join(known)}")
+    if features not in FEATURES:
+        known = ", ".join(FEATURES)
+        raise InputError(f"unknown features {features!r}{nearest(features, FEATURES)}; known are {known}")
     if features != "random":
         try:
             return PerceptualLoss("vgg16", load_weights(resolve("vgg16", folder, offline)))

@@ -18,9 +18,7 @@ def test_only_https_is_used() -> None:
             download(url, 1)
 
 
-def test_contents_are_read_up_to_the_limit(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_contents_are_read_up_to_the_limit(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(urllib.request, "urlopen", lambda url, timeout: io.BytesIO(b"x" * 100))
     assert download("https://example.org/x", 2_000_000) == b"x" * 100
     assert capsys.readouterr().err == "downloading https://example.org/x (2.0 MB)\n"

