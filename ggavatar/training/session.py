@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
+from ggavatar.losses.vgg import perceptual_loss
+from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
@@ -80,6 +83,8 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             return done
         provenance = provenance_of(config, capture, split)
         write_json(output / "provenance.json", provenance)
+        if not quiet:
+            sys.stdout.write(describe(config) + "\n")
         trainer.listener = NullListener() if quiet else ConsoleListener(done, config.training.steps)
         done = trainer.run(done, stop)
         write_json(output / "provenance.json", {**provenance, **outcome_of(trainer, done)})
@@ -117,9 +122,41 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
         preset=chosen,
         settings=tuple(options.get("set", ())),
         training=dataclasses.replace(training, **changes),
-        method_config=dataclasses.asdict(method.config(chosen, options.get("set", ()))),
+        method_config=dataclasses.asdict(with_features(method.config(chosen, options.get("set", ())))),
     )
     return config, split
+
+
+def with_features(settings: Any) -> Any:
+    """A method's settings with the perceptual features that this training compares instead of the `best` there are.
+
+    They are loaded, and fetched if need be, before a run is begun: a training neither fails at its first perceptual
+    step nor resumes with other features.
+
+    Raises:
+        InputError: The settings ask for VGG16 and it cannot be had.
+    """
+    if not getattr(settings, "perceptual_weight", 0.0) or not hasattr(settings, "perceptual_features"):
+        return settings
+    try:
+        features = perceptual_loss(settings.perceptual_features).name
+    except ModelUnavailable as missing:
+        raise InputError(
+            f"{missing}. To train with untrained features instead, which every table will say: --set "
+            "perceptual_features=random"
+        ) from missing
+    return dataclasses.replace(settings, perceptual_features=features)
+
+
+def describe(config: RunConfig) -> str:
+    """One line that says what is trained: method, preset, changed settings, length, and perceptual features."""
+    settings = config.method_config
+    parts = [f"{config.method}, preset {config.preset}", f"{config.training.steps:,} steps", f"seed {config.seed}"]
+    if config.settings:
+        parts.insert(1, "with " + ", ".join(config.settings))
+    if settings.get("perceptual_weight"):
+        parts.append(f"perceptual loss on {settings.get('perceptual_features')} features")
+    return ", ".join(parts)
 
 
 def make_trainer(
