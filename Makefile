@@ -26,7 +26,7 @@ demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
 	@test -f $(CAPTURE)/preview.jpg || $(BIN)/ggavatar-prep $(SUBJECT)/video.mp4 --tracking $(SUBJECT)/tracking --masks $(SUBJECT)/masks \
 		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) --resume -o $(CAPTURE)
-	@$(BIN)/ggavatar-train $(CAPTURE) $(DEMO_METHOD) --steps $(DEMO_STEPS) --resume -o $(RUN)
+	@$(BIN)/ggavatar-train $(CAPTURE) $(DEMO_METHOD) --steps $(DEMO_STEPS) $$(test -e $(RUN) && echo --resume) -o $(RUN)
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
 
 table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))

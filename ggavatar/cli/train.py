@@ -27,8 +27,8 @@ class Arguments:
     """Folder written by ggavatar-prep."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder of the run."""
-    method: Positional[str] = "ggavatar"
-    """Method or variant, as listed above."""
+    method: Annotated[Positional[str | None], arg(metavar="METHOD")] = None
+    """Method or variant, as listed above; ggavatar if not given."""
     preset: Literal["default", "fast", "paper"] | None = None
     """default: suited to the device; fast: a preview within minutes; paper: 120,000 steps, as published."""
     steps: int | None = None
