@@ -63,11 +63,10 @@ class ModelFinder:
             if found is not None:
                 return found
         failures = ["offline"] if self.offline else list(self._fetch_any(model))
-        for version in model.versions:
-            cached = downloads_folder() / version.files[0]
-            if not self.offline and cached.is_file():
-                return _verified(name, version, cached)
-        raise ModelUnavailable(_advice(name, model, failures))
+        found = _in_folder(name, model, downloads_folder())
+        if found is None:
+            raise ModelUnavailable(_advice(name, model, failures))
+        return found
 
     def find_with_substitutes(self, name: str) -> tuple[Path, ...]:
         """The local file of a model, or those of its substitutes if it is not available.
