@@ -169,6 +169,7 @@ def vgg(pretrained: Callable[[str], Path]) -> Lpips:
     return load_lpips("vgg", LpipsFiles(pretrained("vgg16"), pretrained("lpips_vgg")))
 
 
+@pytest.mark.slow
 @pytest.mark.weights
 def test_vgg_gives_published_values_and_every_kernels_orientation_matters(vgg: Lpips) -> None:
     """Planted in each of the thirteen layers: a transposed kernel, channels shifted by one."""
