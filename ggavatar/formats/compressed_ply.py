@@ -97,7 +97,8 @@ def _harmonics(path: Path, header: Header, count: int) -> Float[ndarray, "N K 3"
     size = len(header.elements["sh"].properties) // 3
     if size not in (3, 8, 15) or len(table) != count:
         raise InputError(
-            f"{path}: expected 9, 24 or 45 harmonics for {count} Gaussians, found {3 * size} for {len(table)}; {_ADVICE}"
+            f"{path}: expected 9, 24 or 45 harmonics for {count} Gaussians, found {3 * size} for {len(table)}; "
+            f"{_ADVICE}"
         )
     steps = read_columns(path, table, [f"f_rest_{index}" for index in range(3 * size)])
     units = np.where(steps == 0, 0.0, np.where(steps == 255, 1.0, (steps + 0.5) / 256))

@@ -10,23 +10,19 @@ import dataclasses
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy import ndarray
 
 from ggavatar.errors import InputError
 from ggavatar.formats.activations import OpacityKind, ScaleKind, log_scales, opacity_logits
+from ggavatar.formats.axes import Axes, in_our_axes
 from ggavatar.formats.compressed_ply import decompress, is_compressed
 from ggavatar.formats.ply import Header, read_columns, read_header, read_table, write_columns
 from ggavatar.formats.sound_rows import sound_rows
 from ggavatar.formats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
 
-Axes = Literal["auto", "world", "viewer"]
 VIEWER_COMMENT = "ggavatar axes: x right, y down, z away"
-VIEWER_AXES_NOTE = (
-    "it is read in the axes of viewers (x right, y down, z away); --axes world reads it as it is, if that is upside down"
-)
 LAM_OFFSET = 0.02
 """Median distance (m) of a vertex offset in LAM's files; Gaussians of a head lie about 0.1 m from its center."""
 
@@ -69,13 +65,6 @@ def read_gaussian_ply(
         return rows
     viewer = axes == "viewer" or (axes == "auto" and VIEWER_COMMENT in header.comments)
     return rotate_180_about_x(rows) if viewer else rows
-
-
-def in_our_axes(rows: StoredGaussians, axes: Axes, is_for_viewers: bool) -> StoredGaussians:
-    """Gaussians of a format that says nothing of its axes; those for viewers only are assumed to be in theirs."""
-    if axes == "auto" and is_for_viewers:
-        rows = dataclasses.replace(rows, notes=(*rows.notes, VIEWER_AXES_NOTE))
-    return rotate_180_about_x(rows) if axes == "viewer" or (axes == "auto" and is_for_viewers) else rows
 
 
 def _rows(path: Path, table: ndarray, scales: ScaleKind, opacities: OpacityKind) -> StoredGaussians:
@@ -145,10 +134,10 @@ def _remarks(header: Header, rows: StoredGaussians) -> list[str]:
     modes = {comment.split()[-1] for comment in header.comments if comment.startswith("SplatRenderMode")}
     if "mip" in modes or any(comment.split() == ["antialiased", "1"] for comment in header.comments):
         found.append("it was trained with antialiasing (mip-splatting); here its Gaussians look a little too strong")
-    is_lam = "nx" in names and "f_rest_0" not in names and rows.faces is None
-    if is_lam and float(rows.sh_dc.min()) >= 0 and float(rows.sh_dc.max()) <= 1:
-        if float(np.median(np.linalg.norm(rows.means, axis=1))) < LAM_OFFSET:
-            found.append("it looks like LAM's offset.ply: offsets from a mesh, not positions, and f_dc is RGB")
+    could_be_lam = "nx" in names and "f_rest_0" not in names and rows.faces is None
+    could_be_lam &= float(rows.sh_dc.min()) >= 0 and float(rows.sh_dc.max()) <= 1
+    if could_be_lam and float(np.median(np.linalg.norm(rows.means, axis=1))) < LAM_OFFSET:
+        found.append("it looks like LAM's offset.ply: offsets from a mesh, not positions, and f_dc is RGB")
     return found
 
 

@@ -7,9 +7,7 @@ from jaxtyping import Float, Integer
 from numpy import ndarray
 
 
-def quats_from_smallest(
-    others: Float[ndarray, "N 3"], largest: Integer[ndarray, " N"]
-) -> Float[ndarray, "N 4"]:
+def quats_from_smallest(others: Float[ndarray, "N 3"], largest: Integer[ndarray, " N"]) -> Float[ndarray, "N 4"]:
     """Unit quaternions from three components in order and the index of the fourth, which is not negative.
 
     Components that are longer than a unit vector together are shortened to one, so that the fourth is zero.
