@@ -14,11 +14,10 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
+from ggavatar.formats.file_kinds import SOG_LEVELS, SOG_META, ZIP_MAGIC
 from ggavatar.formats.ply import MAX_ROWS
 from ggavatar.io.json_files import MAX_JSON_BYTES, parse_json, read_json
 
-META_FILE, LEVELS_FILE = "meta.json", "lod-meta.json"
-ZIP_MAGIC = b"PK\x03\x04"
 MAX_IMAGE_BYTES = 1 << 29
 LARGE_IMAGE, MAX_RATIO = 1 << 22, 1100
 """An image of more pixels that is packed better than this was made to fill the memory."""
@@ -41,7 +40,7 @@ class SogFiles(NamedTuple):
 
 def meta_file(path: Path) -> Path:
     """The meta.json that an argument names: itself, or the one in a folder."""
-    return path / META_FILE if path.is_dir() else path
+    return path / SOG_META if path.is_dir() else path
 
 
 def open_sog(path: Path) -> SogFiles:
@@ -51,7 +50,7 @@ def open_sog(path: Path) -> SogFiles:
         InputError: Not an archive or JSON, without a meta.json, or its parts are too large.
     """
     path = meta_file(path)
-    if path.name == LEVELS_FILE:
+    if path.name == SOG_LEVELS:
         raise InputError(f"{path}: expected one SOG, found a list of several levels of detail; open one of its folders")
     with path.open("rb") as stream:
         is_zip = stream.read(4) == ZIP_MAGIC
@@ -66,11 +65,11 @@ def _meta_in_zip(path: Path) -> PurePosixPath:
     """The topmost meta.json of an archive."""
     try:
         with zipfile.ZipFile(path) as archive:
-            found = [PurePosixPath(name) for name in archive.namelist() if PurePosixPath(name).name == META_FILE]
+            found = [PurePosixPath(name) for name in archive.namelist() if PurePosixPath(name).name == SOG_META]
     except (zipfile.BadZipFile, ValueError, OSError) as error:
         raise InputError(f"{path}: expected a zip archive, found a damaged one ({error}); copy it again") from error
     if not found:
-        raise InputError(f"{path}: expected a SOG (a zip archive with {META_FILE}), found none in it")
+        raise InputError(f"{path}: expected a SOG (a zip archive with {SOG_META}), found none in it")
     return min(found, key=lambda name: len(name.parts))
 
 

@@ -24,13 +24,13 @@ from numpy import ndarray
 
 from ggavatar.errors import InputError
 from ggavatar.formats.axes import Axes, in_our_axes
+from ggavatar.formats.file_kinds import GZIP_MAGIC
 from ggavatar.formats.ply import MAX_ROWS
 from ggavatar.formats.quaternion_packing import quats_from_smallest
 from ggavatar.formats.sound_rows import sound_rows
 from ggavatar.formats.spz import MAGIC
 from ggavatar.formats.stored_gaussians import StoredGaussians, flip_axes
 
-GZIP_MAGIC = b"\x1f\x8b"
 MAX_RATIO = 1100
 """Largest ratio of unpacked to packed size that is read; deflate reaches 1032, real files about 2."""
 _HEADER = struct.Struct("<IIIBBBB")
