@@ -35,7 +35,7 @@ class _Sog(NamedTuple):
 
     files: SogFiles
     version: int
-    count: int
+    gaussians: int
 
     def part(self, name: str) -> Mapping[str, Any]:
         """The description of an attribute."""
@@ -63,9 +63,9 @@ class _Sog(NamedTuple):
 
     def pixels(self, part: str, images: int = 1) -> list[UInt8[ndarray, "N 4"]]:
         """RGBA bytes of the Gaussians in every image of an attribute."""
-        most = max(4 * self.count, 1 << 16)
-        read = (read_image(self.files, name, (self.count, most)) for name in self.names(part, images))
-        return [image.reshape(-1, 4)[: self.count] for image in read]
+        most = max(4 * self.gaussians, 1 << 16)
+        read = (read_image(self.files, name, (self.gaussians, most)) for name in self.names(part, images))
+        return [image.reshape(-1, 4)[: self.gaussians] for image in read]
 
 
 def _is_number(value: object) -> bool:
@@ -88,7 +88,9 @@ def read_sog(path: Path, axes: Axes = "auto") -> StoredGaussians:
     rows = StoredGaussians(
         means=_positions(sog),
         sh_dc=colors,
-        sh_rest=_harmonics(sog) if isinstance(files.meta.get("shN"), dict) else np.zeros((sog.count, 0, 3), np.float32),
+        sh_rest=_harmonics(sog)
+        if isinstance(files.meta.get("shN"), dict)
+        else np.zeros((sog.gaussians, 0, 3), np.float32),
         opacity_logits=logits,
         log_scales=_scales(sog),
         quats=_rotations(sog),
@@ -168,7 +170,9 @@ def _harmonics(sog: _Sog) -> Float[ndarray, "N K 3"]:
             f"{sog.files.path}: expected {centroids} of 192, 512 or 960 pixels width, found {image.shape[1]}; {_ADVICE}"
         )
     palette = image[..., :3].reshape(-1, size, 3)
-    tags = read_image(sog.files, labels, (sog.count, max(4 * sog.count, 1 << 16))).reshape(-1, 4)[: sog.count]
+    tags = read_image(sog.files, labels, (sog.gaussians, max(4 * sog.gaussians, 1 << 16))).reshape(-1, 4)[
+        : sog.gaussians
+    ]
     rows = tags[:, 0].astype(np.int64) + 256 * tags[:, 1].astype(np.int64)
     if int(rows.max()) >= len(palette):
         raise InputError(

@@ -50,8 +50,8 @@ def read_splat(path: Path, axes: Axes = "auto") -> StoredGaussians:
     size = path.stat().st_size
     if size % SPLAT_RECORD.itemsize or not 0 < size <= MAX_ROWS * SPLAT_RECORD.itemsize:
         raise InputError(
-            f"{path}: expected records of {SPLAT_RECORD.itemsize} bytes, at most {MAX_ROWS}, found {size} bytes; the file is "
-            "truncated or not a .splat file"
+            f"{path}: expected up to {MAX_ROWS} records of {SPLAT_RECORD.itemsize} bytes, found {size} bytes; the file "
+            "is truncated or not a .splat file"
         )
     records = np.memmap(path, SPLAT_RECORD, "r")
     opacities = records["color"][:, 3] / 255

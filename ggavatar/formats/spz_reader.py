@@ -50,7 +50,7 @@ class _Layout(NamedTuple):
     """What a header says."""
 
     version: int
-    count: int
+    gaussians: int
     degree: int
     fraction_bits: int
     flags: int
@@ -100,7 +100,7 @@ def _read_gzip(path: Path, data: bytes) -> tuple[_Layout, dict[str, UInt8[ndarra
         layout = _layout(path, unpacker.decompress(data, _HEADER.size))
         if layout.version > 3:
             raise InputError(f"{path}: expected version 1 to 3 in a gzip stream, found {layout.version}; {_ADVICE}")
-        size = layout.count * sum(layout.sizes.values())
+        size = layout.gaussians * sum(layout.sizes.values())
         _check_ratio(path, size, len(data))
         content = unpacker.decompress(unpacker.unconsumed_tail, size)
         # Reads to the end of a sound file, so that its checksum is compared.
@@ -109,7 +109,7 @@ def _read_gzip(path: Path, data: bytes) -> tuple[_Layout, dict[str, UInt8[ndarra
         raise InputError(f"{path}: expected a gzip stream, found a damaged one ({error}); copy it again") from error
     if len(content) != size:
         raise InputError(f"{path}: expected {size} bytes of Gaussians, found {len(content)}; copy the file again")
-    ends = np.cumsum([0, *(layout.count * size for size in layout.sizes.values())])
+    ends = np.cumsum([0, *(layout.gaussians * size for size in layout.sizes.values())])
     parts = (content[start:end] for start, end in itertools.pairwise(ends))
     return (
         layout,
@@ -129,7 +129,7 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Layout, dict[str, UInt8[n
             f"{path}: expected .spz of version 4 with {len(names)} streams, found version {layout.version} with "
             f"{layout.streams} or no table of them; {_ADVICE}"
         )
-    sizes = {name: layout.count * layout.sizes[name] for name in names}
+    sizes = {name: layout.gaussians * layout.sizes[name] for name in names}
     _check_ratio(path, sum(sizes.values()), len(data))
     parts = {}
     for index, name in enumerate(names):
@@ -163,7 +163,7 @@ def _check_ratio(path: Path, size: int, packed: int) -> None:
 
 def _blocks(layout: _Layout, parts: Mapping[str, bytes]) -> dict[str, UInt8[ndarray, "N B"]]:
     return {
-        name: np.frombuffer(parts.get(name, b""), np.uint8).reshape(layout.count, size)
+        name: np.frombuffer(parts.get(name, b""), np.uint8).reshape(layout.gaussians, size)
         for name, size in layout.sizes.items()
     }
 
@@ -179,7 +179,7 @@ def _rows(layout: _Layout, blocks: Mapping[str, UInt8[ndarray, "N B"]]) -> Store
     return StoredGaussians(
         means=_positions(layout, blocks["positions"]),
         sh_dc=((blocks["colors"] / 255 - 0.5) / 0.15).astype(np.float32),
-        sh_rest=np.ascontiguousarray(rest.reshape(layout.count, -1, 3)[:, : _HARMONICS[3]]),
+        sh_rest=np.ascontiguousarray(rest.reshape(layout.gaussians, -1, 3)[:, : _HARMONICS[3]]),
         opacity_logits=logits.astype(np.float32),
         log_scales=(blocks["scales"] / 16 - 10).astype(np.float32),
         quats=_rotations(layout, blocks["rotations"]),
@@ -191,8 +191,8 @@ def _positions(layout: _Layout, block: UInt8[ndarray, "N B"]) -> Float[ndarray, 
     """Half-precision numbers (version 1) or signed 24-bit fixed point."""
     if layout.version == 1:
         return block.view("<f2").astype(np.float32)
-    wide = np.zeros((layout.count, 3, 4), np.uint8)
-    wide[..., 1:] = block.reshape(layout.count, 3, 3)
+    wide = np.zeros((layout.gaussians, 3, 4), np.uint8)
+    wide[..., 1:] = block.reshape(layout.gaussians, 3, 3)
     return ((wide.view("<i4")[..., 0] >> 8) / (1 << layout.fraction_bits)).astype(np.float32)
 
 
@@ -200,7 +200,7 @@ def _rotations(layout: _Layout, block: UInt8[ndarray, "N B"]) -> Float[ndarray, 
     """Quaternions wxyz: x, y, z as bytes, w not negative; from version 3 on the three smallest of xyzw with 9 bits."""
     if layout.version < 3:
         vector = block / 127.5 - 1
-        return quats_from_smallest(vector, np.zeros(layout.count, np.int64))
+        return quats_from_smallest(vector, np.zeros(layout.gaussians, np.int64))
     words = np.ascontiguousarray(block).view("<u4")[:, 0]
     fields = np.stack([words >> np.uint32(shift) & np.uint32(1023) for shift in (20, 10, 0)], axis=1)
     magnitudes = (fields & np.uint32(511)) * (np.sqrt(0.5) / 511)
