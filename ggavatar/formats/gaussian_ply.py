@@ -18,7 +18,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.activations import OpacityKind, ScaleKind, log_scales, opacity_logits
 from ggavatar.formats.axes import Axes, in_our_axes
 from ggavatar.formats.compressed_ply import decompress, is_compressed
-from ggavatar.formats.ply import Header, read_columns, read_header, read_table, write_columns
+from ggavatar.formats.ply import Header, read_columns, read_header, read_table, trailing_bytes, write_columns
 from ggavatar.formats.sound_rows import sound_rows
 from ggavatar.formats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
 
@@ -60,7 +60,9 @@ def read_gaussian_ply(
     bound = _BINDING in (table.dtype.names or ())
     rows = _rows(path, table, "log" if bound and scales == "auto" else scales, opacities)
     rows = sound_rows(path, rows)
-    rows = dataclasses.replace(rows, notes=(*rows.notes, *_remarks(header, rows)))
+    surplus = trailing_bytes(path, header)
+    behind = [f"{surplus} bytes behind its last row are ignored"] if surplus else []
+    rows = dataclasses.replace(rows, notes=(*rows.notes, *behind, *_remarks(header, rows)))
     if rows.faces is not None:
         return rows
     viewer = axes == "viewer" or (axes == "auto" and VIEWER_COMMENT in header.comments)

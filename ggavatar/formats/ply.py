@@ -175,6 +175,14 @@ def read_table(path: Path, header: Header, name: str) -> ndarray:
     return np.memmap(path, header.row(name), "r", offset=start, shape=(element.count,))
 
 
+def trailing_bytes(path: Path, header: Header) -> int:
+    """Bytes behind the last element of a binary file; 0 where its end is not known without reading it."""
+    if header.is_ascii or any(element.has_lists for element in header.elements.values()):
+        return 0
+    size = sum(element.count * header.row(element.name).itemsize for element in header.elements.values())
+    return max(path.stat().st_size - header.size - size, 0)
+
+
 def _check_size(path: Path, element: Element, expected: int) -> None:
     """Raise an `InputError` if a file ends before an element does."""
     actual = path.stat().st_size
