@@ -1,4 +1,4 @@
-"""Compressed PLY against its description, one Gaussian at a time. Also covers `ggavatar/formats/quaternion_packing.py`."""
+"""Compressed PLY, one Gaussian at a time. Also covers `ggavatar/formats/quaternion_packing.py`."""
 
 from __future__ import annotations
 

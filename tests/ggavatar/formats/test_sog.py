@@ -1,4 +1,4 @@
-"""SOG of versions 1 and 2 from known codes, expected values in closed form. Also covers `ggavatar/formats/sog_files.py`."""
+"""SOG of versions 1 and 2 from known codes, values in closed form. Also covers `ggavatar/formats/sog_files.py`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_values(tmp_path: Path, version: int, form: str) -> None:
         np.testing.assert_allclose(rows.quats[row], quat, atol=1e-6)
     for row, label in enumerate(images["t.webp"][:, 0].tolist()):
         entry = images["n.webp"][label // 64, 3 * (label % 64) : 3 * (label % 64) + 3]
-        np.testing.assert_allclose(rows.sh_rest[row], -1 + 2 * entry / 255.0, atol=1e-6)
+        np.testing.assert_allclose(rows.sh_rest[row], entry / 127.5 - 1, atol=1e-6)
 
 
 @pytest.mark.parametrize("degree", [2, 3])
@@ -59,7 +59,7 @@ def test_degrees_and_several_rows_of_pixels(tmp_path: Path, degree: int) -> None
     assert rows.degree == degree and len(rows) == 8
     size, label = (degree + 1) ** 2 - 1, 7 * 13 % 128
     entry = images["n.webp"][label // 64, size * (label % 64) : size * (label % 64 + 1)]
-    np.testing.assert_allclose(rows.sh_rest[7], -1 + 2 * entry / 255.0, atol=1e-6)
+    np.testing.assert_allclose(rows.sh_rest[7], entry / 127.5 - 1, atol=1e-6)
 
 
 def test_axes_rotations_and_remarks(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def changed(**parts: object) -> dict[str, bytes]:
 
 
 def huge_image() -> bytes:
-    """The header of a lossless WebP of 16383 × 16383 pixels."""
+    """The header of a lossless WebP of 16383 × 16384 pixels."""
     return b"RIFF" + struct.pack("<I", 100) + b"WEBPVP8L" + struct.pack("<IBI", 88, 0x2F, 0x0FFFFFFE) + bytes(80)
 
 
@@ -110,7 +110,7 @@ def huge_image() -> bytes:
         (changed(shN__files=["l.webp", "t.webp"]), "192, 512 or 960"),
         (changed(shN__files=["n.webp", "c.webp"]), "indices of 128 rows"),
         (changed() | {"l.webp": b"GIF89a" + bytes(30)}, "WebP or PNG"),
-        (changed() | {"l.webp": huge_image()}, "pixels, found 16383×16383"),
+        (changed() | {"l.webp": huge_image()}, "pixels, found 16383×16384"),
         (changed() | {"l.webp": changed()["l.webp"][:60]}, "damaged"),
         (changed() | {"meta.json": b"{"}, "not valid JSON"),
         (changed() | {"meta.json": json.dumps({"lodLevels": 3}).encode()}, "expected the meta.json of a SOG"),
