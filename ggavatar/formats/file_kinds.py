@@ -17,6 +17,8 @@ SOG_META, SOG_LEVELS = "meta.json", "lod-meta.json"
 KINDS = {"ply": "PLY", "splat": ".splat", "spz": ".spz", "sog": "SOG", "glb": "glTF binary"}
 SUFFIXES = {".ply": "ply", ".splat": "splat", ".spz": "spz", ".sog": "sog", ".glb": "glb"}
 _MAX_META_BYTES = 1 << 22
+_START_BYTES = 4096
+"""What is read to know a kind; deflate needs some hundred bytes before it yields the first four."""
 _RUN_FILE = "config.json"
 
 
@@ -35,7 +37,7 @@ def file_kind(path: Path) -> str | None:
 
 def _kind_of_content(path: Path) -> str | None:
     with path.open("rb") as stream:
-        start = stream.read(64)
+        start = stream.read(_START_BYTES)
     if start.startswith((b"ply\n", b"ply\r", b"ply ", b"ply\t")):
         return "ply"
     if start.startswith(SPZ_MAGIC) or (start.startswith(GZIP_MAGIC) and _starts_unzipped(start, SPZ_MAGIC)):

@@ -200,10 +200,11 @@ def _read_text(path: Path, header: Header, element: Element, rows_before: int) -
     with path.open("rb") as stream:
         stream.seek(header.size)
         lines = itertools.islice(_number_lines(stream), rows_before, rows_before + element.count)
-        first = next(lines, b"")  # loadtxt would warn of a file without lines
+        first = next(lines, None)
         try:
-            row = header.row(element.name)
-            table = np.loadtxt(itertools.chain([first], lines), row, comments=None, encoding="ascii", ndmin=1)
+            # Without a line, loadtxt would warn.
+            row, found = header.row(element.name), () if first is None else itertools.chain((first,), lines)
+            table = np.loadtxt(found, row, comments=None, encoding="ascii", ndmin=1) if found else np.empty(0, row)
         except (ValueError, OverflowError) as error:
             raise InputError(
                 f"{path}: expected lines of {width} numbers for {element.name!r}, found others ({error}); {_ADVICE}"
