@@ -10,6 +10,7 @@ old, and none of them bounds what a header makes it allocate.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import struct
 import zlib
@@ -38,11 +39,15 @@ _ZSTD_HEADER_BYTES = 32
 _HAS_EXTENSIONS = 2
 _HARMONICS = (0, 3, 8, 15, 24)
 _AXES_EXTENSION = 0xADBE0003
-_AXES = {0: (1, 1, 1)} | {
+_AXES = {
     number: (1 if name[0] == "R" else -1, 1 if name[1] == "U" else -1, 1 if name[2] == "B" else -1)
     for number, name in enumerate(("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"), start=1)
 }
-"""Signs that bring the axes of Adobe's extension (0 is unstated) to right, up, back."""
+"""Signs that bring the axes of Adobe's extension to right, up, back; its 0 means that they are not known."""
+UNSTATED_AXES_NOTE = (
+    "it does not state its axes and is read in those of its format (y up); if it is upside down, pass --axes viewer"
+)
+"""splat-transform 3 and others copy the numbers of a PLY as they are."""
 _ADVICE = "export it again"
 
 
@@ -75,8 +80,11 @@ def read_spz(path: Path, axes: Axes = "auto") -> StoredGaussians:
         layout, blocks, extensions = _read_gzip(path, data)
     else:
         layout, blocks, extensions = _read_zstandard(path, data)
-    rows = flip_axes(_rows(layout, blocks), _signs(path, extensions))
-    return in_our_axes(sound_rows(path, rows), axes, is_for_viewers=False)
+    signs = _signs(path, extensions)
+    rows = sound_rows(path, flip_axes(_rows(layout, blocks), signs or (1, 1, 1)))
+    if signs is None and axes == "auto":
+        rows = dataclasses.replace(rows, notes=(*rows.notes, UNSTATED_AXES_NOTE))
+    return in_our_axes(rows, axes, is_for_viewers=False)
 
 
 def _layout(path: Path, head: bytes) -> _Layout:
@@ -208,14 +216,16 @@ def _rotations(layout: _Layout, block: UInt8[ndarray, "N B"]) -> Float[ndarray, 
     return quats_from_smallest(others, words >> np.uint32(30))[:, [3, 0, 1, 2]]
 
 
-def _signs(path: Path, extensions: bytes) -> tuple[int, int, int]:
-    """Signs that bring the file's axes to ours, from its records of type, length and content."""
+def _signs(path: Path, extensions: bytes) -> tuple[int, int, int] | None:
+    """Signs that bring the file's axes to ours, from its records of type, length and content; None if not stated."""
     position = 0
     while position + 8 <= len(extensions):
         kind, length = struct.unpack_from("<II", extensions, position)
         content = extensions[position + 8 : position + 8 + length]
         if kind == _AXES_EXTENSION and len(content) == 4:
             number = int.from_bytes(content, "little")
+            if number == 0:
+                return None
             if number not in _AXES:
                 raise InputError(
                     f"{path}: expected axes of right, up and back in this order (Adobe's numbers 0 to 8), found "
@@ -223,4 +233,4 @@ def _signs(path: Path, extensions: bytes) -> tuple[int, int, int]:
                 )
             return _AXES[number]
         position += 8 + length
-    return 1, 1, 1
+    return None

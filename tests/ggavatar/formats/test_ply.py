@@ -100,7 +100,7 @@ def test_noise(tmp_path: Path, content: bytes) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        (b"binary_little_endian", b"ascii", "lines of 62 numbers|truncated"),
+        (b"binary_little_endian", b"ascii", "lines of 26 numbers|truncated"),
         (b"binary_little_endian", b"binary_big_endian", "broken"),
         (b"binary_little_endian", b"binary_middle_endian", "binary_little_endian"),
         (b"property float x\n", b"property list uchar int x\n", "with lists"),

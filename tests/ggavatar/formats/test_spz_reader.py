@@ -11,7 +11,7 @@ import pytest
 
 from ggavatar.errors import InputError
 from ggavatar.formats.spz import write_spz
-from ggavatar.formats.spz_reader import read_spz
+from ggavatar.formats.spz_reader import UNSTATED_AXES_NOTE, read_spz
 from ggavatar.formats.stored_gaussians import StoredGaussians, rotate_180_about_x, to_stored
 from tests.support.gaussian_cloud import cloud
 from tests.support.splat_files import SPZ_CODES, spz
@@ -37,7 +37,7 @@ def codes(version: int) -> dict[str, list]:
 def test_values(tmp_path: Path, version: int, degree: int) -> None:
     given = codes(version) if degree else {**codes(version), "harmonics": []}
     rows = read(tmp_path, spz(version, given, degree))
-    assert rows.notes == () and rows.degree == degree
+    assert rows.notes == (UNSTATED_AXES_NOTE,) and rows.degree == degree
     want = np.array(given["positions"]) if version == 1 else np.array(given["positions"]) / 4096
     np.testing.assert_array_equal(rows.means, want.astype(np.float16 if version == 1 else np.float32))
     np.testing.assert_allclose(rows.log_scales, np.array(given["scales"]) / 16 - 10)
@@ -91,6 +91,9 @@ def test_axes(tmp_path: Path, version: int) -> None:
     plain = read(tmp_path, spz(version, codes(version), 1))
     same = read(tmp_path, spz(version, codes(version), 1, axes=4))
     np.testing.assert_array_equal(same.means, plain.means)
+    assert same.notes == () and "--axes viewer" in plain.notes[0]
+    unknown = read(tmp_path, spz(version, codes(version), 1, axes=0))
+    assert unknown.notes == plain.notes
     turned, asked = read(tmp_path, spz(version, codes(version), 1, axes=6)), rotate_180_about_x(plain)
     np.testing.assert_array_equal(turned.means, asked.means)
     np.testing.assert_array_equal(turned.sh_rest, asked.sh_rest)
