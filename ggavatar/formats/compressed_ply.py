@@ -50,11 +50,12 @@ def decompress(path: Path, header: Header) -> StoredGaussians:
     rgb = bytes_[:, :3]
     if "min_r" in header.elements["chunk"].properties:
         rgb = _in_range(path, chunks, chunk, "{}_r {}_g {}_b", rgb)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         logits = np.log(bytes_[:, 3]) - np.log1p(-bytes_[:, 3])
+        sh_dc = ((rgb - 0.5) / SH_C0).astype(np.float32)
     return StoredGaussians(
         means=_in_range(path, chunks, chunk, "{}_x {}_y {}_z", _vectors(position)),
-        sh_dc=((rgb - 0.5) / SH_C0).astype(np.float32),
+        sh_dc=sh_dc,
         sh_rest=_harmonics(path, header, len(table)),
         opacity_logits=logits.astype(np.float32),
         log_scales=_in_range(path, chunks, chunk, "{}_scale_x {}_scale_y {}_scale_z", _vectors(scale)),

@@ -13,6 +13,8 @@ SPLAT_RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1"
 QUATERNION_TOLERANCE = 0.05
 """Largest deviation from length 1 of a quaternion of four bytes, by which a .splat file is recognized."""
 SPZ_MAGIC, ZIP_MAGIC, GZIP_MAGIC, GLB_MAGIC = b"NGSP", b"PK\x03\x04", b"\x1f\x8b", b"glTF"
+ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, OSError)
+"""What zipfile raises for damaged archives, and for encrypted ones and those of later versions."""
 SOG_META, SOG_LEVELS = "meta.json", "lod-meta.json"
 KINDS = {"ply": "PLY", "splat": ".splat", "spz": ".spz", "sog": "SOG", "glb": "glTF binary"}
 SUFFIXES = {".ply": "ply", ".splat": "splat", ".spz": "spz", ".sog": "sog", ".glb": "glb"}
@@ -62,7 +64,7 @@ def _holds_sog(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return any(Path(name).name == SOG_META for name in archive.namelist())
-    except (zipfile.BadZipFile, ValueError, OSError):
+    except ZIP_ERRORS:
         return False
 
 

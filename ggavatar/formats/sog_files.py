@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import SOG_LEVELS, SOG_META, ZIP_MAGIC
+from ggavatar.formats.file_kinds import SOG_LEVELS, SOG_META, ZIP_ERRORS, ZIP_MAGIC
 from ggavatar.formats.ply import MAX_ROWS
 from ggavatar.io.json_files import MAX_JSON_BYTES, parse_json, read_json
 
@@ -66,8 +65,10 @@ def _meta_in_zip(path: Path) -> PurePosixPath:
     try:
         with zipfile.ZipFile(path) as archive:
             found = [PurePosixPath(name) for name in archive.namelist() if PurePosixPath(name).name == SOG_META]
-    except (zipfile.BadZipFile, ValueError, OSError) as error:
-        raise InputError(f"{path}: expected a zip archive, found a damaged one ({error}); copy it again") from error
+    except ZIP_ERRORS as error:
+        raise InputError(
+            f"{path}: expected a zip archive, found a damaged one ({_short(error)}); copy it again"
+        ) from error
     if not found:
         raise InputError(f"{path}: expected a SOG (a zip archive with {SOG_META}), found none in it")
     return min(found, key=lambda name: len(name.parts))
@@ -78,12 +79,19 @@ def _read_zipped(path: Path, name: str, limit: int = MAX_IMAGE_BYTES) -> bytes:
         with zipfile.ZipFile(path) as archive, archive.open(name) as stream:
             content = stream.read(limit + 1)
     except KeyError as error:
-        raise InputError(f"{path}: expected {name} in the archive, found none; {_ADVICE}") from error
-    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, OSError) as error:
-        raise InputError(f"{path}: cannot read {name} ({error}); the archive is damaged, copy it again") from error
+        raise InputError(f"{path}: expected {_short(name)} in the archive, found none; {_ADVICE}") from error
+    except ZIP_ERRORS as error:
+        raise InputError(
+            f"{path}: cannot read {_short(name)} ({_short(error)}); the archive is damaged, copy it again"
+        ) from error
     if len(content) > limit:
-        raise InputError(f"{path}: expected {name} of up to {limit >> 20} MiB, found more")
+        raise InputError(f"{path}: expected {_short(name)} of up to {limit >> 20} MiB, found more")
     return content
+
+
+def _short(text: object) -> str:
+    """At most 100 characters of a name in an archive, or of a message that holds one."""
+    return str(text)[:100]
 
 
 def _read_beside(path: Path, name: str) -> bytes:
