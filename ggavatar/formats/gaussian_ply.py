@@ -53,6 +53,8 @@ def read_gaussian_ply(
     """
     header = read_header(path)
     if is_compressed(header):
+        if (scales, opacities) != ("auto", "auto"):
+            raise InputError(f"{path}: a compressed PLY says how its numbers are meant; omit --scales and --opacities")
         return in_our_axes(sound_rows(path, decompress(path, header)), axes, is_for_viewers=True)
     table = read_table(path, header, "vertex")
     _refuse_point_clouds(path, table)

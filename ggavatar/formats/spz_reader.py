@@ -4,8 +4,8 @@ Versions 1 to 3 are one gzip stream; version 4 has a plain header and a Zstandar
 has half-precision positions, versions 1 and 2 quaternions of three bytes. Axes are x right, y up, z to the viewer, as
 ours, unless Adobe's extension states others.
 
-Read here and not by a library: `spz` on PyPI is a 0.0.1 of another author, `gsply` and `gaussforge` are a few months
-old, and none of them bounds what a header makes it allocate.
+Read here and not by a library: `spz` on PyPI is a single 0.0.1 without wheels, `gsply` (0.4) and `gaussforge` (0.6) are
+young, and what a header makes a reader allocate must be bounded here.
 """
 
 from __future__ import annotations

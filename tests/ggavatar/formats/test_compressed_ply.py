@@ -63,6 +63,12 @@ def test_axes_are_those_of_viewers(tmp_path: Path) -> None:
     assert "--axes world" in found.notes[-1] and not any("--axes" in note for note in raw.notes)
 
 
+def test_flags_of_plain_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(compressed_ply()[1])
+    with pytest.raises(InputError, match="omit --scales"):
+        read_gaussian_ply(tmp_path / "a.ply", scales="linear")
+
+
 def test_smallest_three_of_any_rotation() -> None:
     """Dropping the largest component, made positive, and putting it back is the identity."""
     quats = np.random.default_rng(0).normal(size=(1000, 4))
