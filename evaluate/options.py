@@ -88,7 +88,7 @@ class Options:
     """Measure avatars and write tables. Give run folders, result files (metrics.json), or --pred and --gt."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folders, evaluation folders, metrics.json files, or FILE.ply with --capture, in any combination."""
+    """Run folders, evaluation folders, metrics.json files, or FILE of Gaussians with --capture, in any combination."""
     labels: tuple[str, ...] = ()
     """Names of the methods in the table, one per run, in order; by default the runs' own."""
     table: bool = False

@@ -17,7 +17,7 @@ class Options:
     """Render a trained avatar: the frames of a split (default), an orbit around the head, or a driving sequence."""
 
     run: tyro.conf.Positional[Path]
-    """Run folder of ggavatar-train, or FILE.ply of 3DGS or GaussianAvatars (docs/export.md)."""
+    """Run folder of ggavatar-train, or FILE of Gaussians: PLY, .splat, .spz, SOG (docs/export.md)."""
     source: tyro.conf.OmitArgPrefixes[GaussianFileOptions] = field(default_factory=GaussianFileOptions)
     output_dir: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
     """Output folder; by default RUN/renders/WHAT."""

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.core import Camera, Drive, Gaussians, Rasterizer
+from ggavatar.formats.gaussian_files import digest
 from ggavatar.formats.imported_avatar import BoundAvatar, ImportedAvatar, open_gaussians
 from ggavatar.formats.imported_run import WHITE
 from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.geometry.transforms import look_at
-from ggavatar.io.digests import sha256_of
 from ggavatar.render.backends import pick
 
 IMAGE_SIDE = 512
@@ -89,7 +89,7 @@ def open_standalone(path: Path, source: GaussianFileOptions, device: str, backen
     avatar = open_gaussians(path, source, None, device)
     method = "GaussianAvatars file" if isinstance(avatar, BoundAvatar) else "3DGS file"
     background = torch.tensor(WHITE, device=device)
-    digest = {"file": str(path), "file_sha256": sha256_of(path)}
+    provenance = {"file": str(path), "file_sha256": digest(path)}
     return StandaloneGaussians(
-        results_folder(path), path.stem, method, avatar, pick(device, backend), background, digest
+        results_folder(path), path.stem, method, avatar, pick(device, backend), background, provenance
     )

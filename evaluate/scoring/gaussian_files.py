@@ -26,7 +26,8 @@ def open_gaussian_file(path: Path, source: GaussianFileOptions, split: str, devi
 
 def refuse_file_flags(path: Path, source: GaussianFileOptions) -> None:
     """Raise `InputError` if options for files of Gaussians are combined with a run."""
-    if source.head_model or source.flame_params or source.axes != "auto":
+    if source.head_model or source.flame_params or source.are_given:
         raise InputError(
-            f"{path}: --head-model, --flame-params and --axes belong to a file of Gaussians, this is a run; omit them"
+            f"{path}: --head-model, --flame-params, --axes, --scales and --opacities belong to a file of Gaussians, "
+            "this is a run; omit them"
         )

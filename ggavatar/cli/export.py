@@ -1,10 +1,10 @@
-"""ggavatar-export: write a trained avatar for other programs, or a capture for other trainers."""
+"""ggavatar-export: write an avatar or a file of Gaussians for other programs, or a capture for other trainers."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -15,8 +15,11 @@ from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
+from ggavatar.formats.file_kinds import SUFFIXES
+from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 
-RUN_FORMATS = ("ply", "splat", "spz", "gaussian-avatars")
+SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
+RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars")
 _NEXT_STEPS = {
     "vhap": "in GaussianAvatars: python train.py -s {path} --bind_to_mesh --white_background",
     "flash-avatar": "make parsing/%05d_neckhead.png and _mouth.png for FlashAvatar, then train it on {path}",
@@ -25,14 +28,15 @@ _NEXT_STEPS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Write a trained avatar for viewers and other programs, or a capture for other trainers."""
+    """Write a trained avatar or a file of Gaussians for other programs, or a capture for other trainers."""
 
     source: Positional[Path]
-    """Run folder written by ggavatar-train, or capture folder written by ggavatar-prep."""
-    format: str = "ply"
-    """Of a run: ply, splat, spz (for viewers) or gaussian-avatars (bound to the mesh). Of a capture: see above."""
+    """Run folder of ggavatar-train, FILE of Gaussians (PLY, .splat, .spz, SOG), or capture folder of ggavatar-prep."""
+    format: str | None = None
+    """Of a run: ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz or
+    glb; of a capture: see above. By default that of the suffix of --output, else ply."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
-    """File or folder to write; RUN/exports/… or CAPTURE-FORMAT if not given."""
+    """File or folder to write; RUN/exports/…, FILE.FORMAT or CAPTURE-FORMAT if not given."""
     neutral: bool = False
     """Export the neutral face, as without --frame and --drive."""
     frame: tuple[int, ...] = ()
@@ -45,6 +49,19 @@ class Arguments:
     """auto, cpu, cuda, cuda:N or mps."""
     overwrite: bool = False
     """Replace an earlier export."""
+    reading: tyro.conf.OmitArgPrefixes[GaussianReadingOptions] = field(default_factory=GaussianReadingOptions)
+
+    @property
+    def kind(self) -> str:
+        """The format to write."""
+        suffix = self.output.suffix.lower() if self.output is not None else ""
+        named = SUFFIXES.get(suffix, "ply")
+        return self.format or (named if named in SPLAT_FORMATS else "ply")
+
+    @property
+    def poses(self) -> int:
+        """How many flags choose the poses of an avatar; they exclude each other."""
+        return sum([bool(self.frame), self.drive is not None, self.neutral])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,49 +77,78 @@ def _description() -> str:
     layouts = ", ".join(capture_formats()) or "none installed"
     return (
         f"{Arguments.__doc__}\n\nFormats of a capture: {layouts}.\n"
-        "Examples: ggavatar-export runs/me --format spz, ggavatar-export data/me --format vhap"
+        "Examples: ggavatar-export runs/me --format spz, ggavatar-export face.sog -o face.glb, "
+        "ggavatar-export data/me --format vhap"
     )
 
 
 def _export(arguments: Arguments) -> int:
-    """Export a run or a capture, depending on the format, and print what was written."""
+    """Export a run, a file or a capture, depending on the format, and print what was written."""
     known = (*RUN_FORMATS, *capture_formats())
-    kind = arguments.format
+    kind = arguments.kind
     if kind not in known:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
-    lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
+    if is_gaussian_file(arguments.source):
+        lines = _export_file(arguments)
+    else:
+        lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
+
+
+def _export_file(arguments: Arguments) -> list[str]:
+    """Write a file of Gaussians in another format."""
+    from ggavatar.formats.conversion import convert
+
+    source, kind = arguments.source, arguments.kind
+    if arguments.poses or arguments.step is not None or kind not in SPLAT_FORMATS:
+        raise InputError(
+            f"{source}: a file of Gaussians is written as {', '.join(SPLAT_FORMATS)}, without --neutral, --frame, "
+            "--drive and --step"
+        )
+    beside = source.parent if source.name == "meta.json" else source
+    path = arguments.output or beside.with_name(f"{beside.name if beside.is_dir() else beside.stem}.{kind}")
+    result = convert(source, arguments.reading, kind, path, arguments.overwrite)
+    notes = [f"note: {note}" for note in result.notes]
+    return [
+        f"wrote {path} ({_size_text(1, result.gaussians)})",
+        *notes,
+        f"next: {_next_step_for_splats(path, kind, 1)}",
+    ]
 
 
 def _export_capture(arguments: Arguments) -> list[str]:
     from ggavatar.data.capture import Capture
 
-    if arguments.frame or arguments.drive or arguments.neutral or arguments.step is not None:
+    if arguments.poses or arguments.step is not None:
         raise InputError(
-            f"--format {arguments.format} writes a whole capture; leave out --neutral, --frame, --drive and --step"
+            f"--format {arguments.kind} writes a whole capture; leave out --neutral, --frame, --drive and --step"
         )
     if not (arguments.source / "capture.json").is_file():
         raise InputError(
-            f"{arguments.source}: expected a capture folder for --format {arguments.format}, found no capture.json"
+            f"{arguments.source}: expected a capture folder for --format {arguments.kind}, found no capture.json"
         )
     capture = Capture.open(arguments.source)
     home = arguments.source.resolve()
-    folder = arguments.output or home.with_name(f"{home.name}-{arguments.format}")
-    report = export_capture(capture, arguments.format, folder, arguments.overwrite)
+    folder = arguments.output or home.with_name(f"{home.name}-{arguments.kind}")
+    report = export_capture(capture, arguments.kind, folder, arguments.overwrite)
     notes = [f"note: {note}" for note in report.get("notes", ())]
-    step = _NEXT_STEPS.get(arguments.format)
+    step = _NEXT_STEPS.get(arguments.kind)
     following = [f"next: {step.format(path=folder)}"] if step else []
     return [f"wrote {folder} ({report['frames']} frames)", *notes, *following]
 
 
 def _export_run(arguments: Arguments) -> list[str]:
-    if sum([bool(arguments.frame), arguments.drive is not None, arguments.neutral]) > 1:
+    if arguments.poses > 1:
         raise InputError("expected one of --neutral, --frame and --drive, found several; run the command once for each")
     if not (arguments.source / "config.json").is_file():
         raise InputError(
-            f"{arguments.source}: expected a run folder for --format {arguments.format}, found no config.json in it"
+            f"{arguments.source}: expected a run folder for --format {arguments.kind}, found no config.json in it"
+        )
+    if arguments.reading.are_given:
+        raise InputError(
+            f"{arguments.source}: --axes, --scales and --opacities belong to a file of Gaussians; omit them"
         )
     import torch
 
@@ -120,14 +166,14 @@ def _export_run(arguments: Arguments) -> list[str]:
     else:
         drives = frame_drives(run, arguments.frame) if arguments.frame else [neutral_drive(run, head)]
     path = arguments.output or _default_path(arguments, [drive.name for drive in drives])
-    if arguments.format == BOUND_FORMAT:
+    if arguments.kind == BOUND_FORMAT:
         if len(drives) > 1:
             raise InputError(f"{BOUND_FORMAT} stores one binding that follows the mesh; pass one --frame or --neutral")
         result = export_bound(run, head, drives[0].drive, path, arguments.overwrite)
         following = f"ggavatar-render {path / POINT_CLOUD_FILE} --capture {run.capture.folder}"
     else:
-        result = export_splats(run, drives, arguments.format, path, arguments.overwrite)
-        following = _next_step_for_splats(path, arguments.format, len(drives))
+        result = export_splats(run, drives, arguments.kind, path, arguments.overwrite)
+        following = _next_step_for_splats(path, arguments.kind, len(drives))
     notes = [f"note: {note}" for note in (*result.notes, *_renderer_notes(run.method))]
     return [f"wrote {result.path} ({_size_text(len(drives), result.gaussians)})", *notes, f"next: {following}"]
 
@@ -144,11 +190,11 @@ def _renderer_notes(method: str) -> list[str]:
 def _default_path(arguments: Arguments, names: Sequence[str]) -> Path:
     """The path of an export among the results of its run."""
     home = arguments.source / "exports"
-    if arguments.format == "gaussian-avatars":
-        return home / arguments.format
+    if arguments.kind == "gaussian-avatars":
+        return home / arguments.kind
     if len(names) > 1:
-        return home / f"{arguments.drive.stem if arguments.drive else 'frames'}-{arguments.format}"
-    return home / f"{names[0]}.{arguments.format}"
+        return home / f"{arguments.drive.stem if arguments.drive else 'frames'}-{arguments.kind}"
+    return home / f"{names[0]}.{arguments.kind}"
 
 
 def _size_text(files: int, gaussians: int) -> str:
@@ -156,9 +202,11 @@ def _size_text(files: int, gaussians: int) -> str:
 
 
 def _next_step_for_splats(path: Path, kind: str, files: int) -> str:
-    if kind == "ply" and files == 1:
+    if kind != "glb" and files == 1:
         return f"ggavatar-render {path} --orbit, or open it in any viewer of Gaussian splats"
-    return "open it in a viewer of Gaussian splats, such as SuperSplat"
+    if kind == "glb":
+        return "open it in a viewer of KHR_gaussian_splatting, such as the PlayCanvas or Babylon.js viewer"
+    return "open them in a viewer of Gaussian splats, such as SuperSplat"
 
 
 if __name__ == "__main__":

@@ -14,9 +14,10 @@ from ggavatar.errors import InputError
 from ggavatar.formats.drives import NamedDrive
 from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, write_flame_parameters
 from ggavatar.formats.gaussian_ply import full_degree, write_gaussian_ply
+from ggavatar.formats.glb import write_glb
 from ggavatar.formats.output_folder import atomic_folder, check_output_file
 from ggavatar.formats.splat import write_splat
-from ggavatar.formats.spz import write_spz
+from ggavatar.formats.spz import MAX_SPZ_POSITION, write_spz
 from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
 from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.geometry.triangles import triangle_frames
@@ -28,6 +29,7 @@ WRITERS: Mapping[str, Callable[[Path, StoredGaussians], None]] = {
     "ply": write_gaussian_ply,
     "splat": write_splat,
     "spz": write_spz,
+    "glb": write_glb,
 }
 BOUND_FORMAT = "gaussian-avatars"
 POINT_CLOUD_FILE = "point_cloud.ply"
@@ -67,21 +69,24 @@ def export_splats(run: Run, drives: Sequence[NamedDrive], kind: str, path: Path,
         check_output_file(path, overwrite)
         rows = to_stored(run.avatar.gaussians(drives[0].drive))
         write(path, rows)
-        return ExportResult(path, len(rows), tuple(_losses(kind, rows)))
+        return ExportResult(path, len(rows), tuple(format_losses(kind, rows)))
     with atomic_folder(path, overwrite) as folder:
         for name, drive in drives:
             rows = to_stored(run.avatar.gaussians(drive))
             write(folder / f"{name}.{kind}", rows)
             counts.append(len(rows))
-            notes |= set(_losses(kind, rows))
+            notes |= set(format_losses(kind, rows))
     return ExportResult(path, max(counts), tuple(sorted(notes)))
 
 
-def _losses(kind: str, rows: StoredGaussians) -> list[str]:
+def format_losses(kind: str, rows: StoredGaussians) -> list[str]:
     """What a splat format cannot represent."""
     if kind == "splat" and np.any(rows.sh_rest):
-        return [".splat cannot store view-dependent color, which is left out; .ply and .spz keep it"]
-    return []
+        return [".splat cannot store view-dependent color, which is left out; .ply, .spz and .glb keep it"]
+    far = int((np.abs(rows.means) > MAX_SPZ_POSITION).any(axis=1).sum()) if kind == "spz" else 0
+    return (
+        [f".spz cannot store positions beyond ±{MAX_SPZ_POSITION:g} m, {far} Gaussians are moved there"] if far else []
+    )
 
 
 @torch.no_grad()

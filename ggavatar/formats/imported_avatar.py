@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, read_flame_parameters
 from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH_FACES, with_teeth
-from ggavatar.formats.gaussian_ply import read_gaussian_ply
+from ggavatar.formats.gaussian_files import read_gaussians
 from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.stored_gaussians import StoredGaussians, activate
 from ggavatar.gaussians.binding import bind
@@ -90,10 +91,10 @@ class BoundAvatar(ImportedAvatar):
 def open_gaussians(
     path: Path, source: GaussianFileOptions, capture: Capture | None = None, device: torch.device | str = "cpu"
 ) -> ImportedAvatar:
-    """A file of Gaussians as an avatar in evaluation mode.
+    """A file of Gaussians as an avatar in evaluation mode; what was assumed of it is said on stderr.
 
     Args:
-        path: A PLY of 3DGS, or GaussianAvatars' `point_cloud.ply`.
+        path: Any file of Gaussians, or GaussianAvatars' `point_cloud.ply`.
         source: What the file does not contain.
         capture: The capture whose frames will be rendered.
         device: Device of the avatar.
@@ -101,7 +102,9 @@ def open_gaussians(
     Raises:
         InputError: The file is of another kind, or it is bound to a head that was not given or does not match.
     """
-    rows = read_gaussian_ply(path, source.axes)
+    rows = read_gaussians(path, source)
+    for note in rows.notes:
+        sys.stderr.write(f"note: {path}: {note}\n")
     if rows.faces is None:
         given = "--head-model" if source.head_model else "--flame-params" if source.flame_params else ""
         if given:

@@ -9,10 +9,10 @@ import torch
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import Frames
 from ggavatar.errors import InputError
+from ggavatar.formats.gaussian_files import digest
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
 from ggavatar.formats.source_options import GaussianFileOptions, results_folder
 from ggavatar.head.files import load_head
-from ggavatar.io.digests import sha256_of
 from ggavatar.render.backends import pick
 from ggavatar.training.run_folder import Run, RunConfig, choose_split
 
@@ -52,7 +52,7 @@ def open_imported_run(
         background=background,
         rasterize=pick(device, backend),
         config=RunConfig(method, str(capture.folder.resolve()), name, WHITE, device=device, backend=backend),
-        provenance={"file": str(path), "file_sha256": sha256_of(path)},
+        provenance={"file": str(path), "file_sha256": digest(path)},
         step=0,
         reader=Frames(capture, head, background, device),
     )

@@ -1,4 +1,4 @@
-"""Writer of `.splat` (antimatter15): 32 bytes per Gaussian, no header, no view-dependent color."""
+"""`.splat` (antimatter15): 32 bytes per Gaussian, no header, no view-dependent color."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ggavatar.formats.stored_gaussians import StoredGaussians, rotate_180_about_x
+from ggavatar.errors import InputError
+from ggavatar.formats.axes import Axes, in_our_axes
+from ggavatar.formats.file_kinds import SPLAT_RECORD, splat_quats
+from ggavatar.formats.ply import MAX_ROWS
+from ggavatar.formats.sound_rows import sound_rows
+from ggavatar.formats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.io.atomic import write_atomically
-
-RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat", "u1", 4)])
 
 
 def write_splat(path: Path, rows: StoredGaussians) -> None:
@@ -24,7 +27,7 @@ def write_splat(path: Path, rows: StoredGaussians) -> None:
     opacities = 1 / (1 + np.exp(-rows.opacity_logits.astype(np.float64)))
     importance = np.exp(rows.log_scales.sum(axis=1, dtype=np.float64)) * opacities
     order = np.argsort(-importance, kind="stable")
-    records = np.zeros(len(rows), RECORD)
+    records = np.zeros(len(rows), SPLAT_RECORD)
     records["mean"] = rows.means[order]
     records["scale"] = np.exp(rows.log_scales[order])
     records["color"][:, :3] = _byte((0.5 + SH_C0 * rows.sh_dc[order]) * 255)
@@ -36,3 +39,29 @@ def write_splat(path: Path, rows: StoredGaussians) -> None:
 
 def _byte(values: np.ndarray) -> np.ndarray:
     return np.rint(values).clip(0, 255).astype(np.uint8)
+
+
+def read_splat(path: Path, axes: Axes = "auto") -> StoredGaussians:
+    """Read Gaussians; `auto` means the axes of viewers.
+
+    Raises:
+        InputError: The file is not a whole number of records, holds too many, or numbers that no Gaussian has.
+    """
+    size = path.stat().st_size
+    if size % SPLAT_RECORD.itemsize or not 0 < size <= MAX_ROWS * SPLAT_RECORD.itemsize:
+        raise InputError(
+            f"{path}: expected up to {MAX_ROWS} records of {SPLAT_RECORD.itemsize} bytes, found {size} bytes; the file "
+            "is truncated or not a .splat file"
+        )
+    records = np.memmap(path, SPLAT_RECORD, "r")
+    opacities = records["color"][:, 3] / 255
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows = StoredGaussians(
+            means=records["mean"].astype(np.float32),
+            sh_dc=((records["color"][:, :3] / 255 - 0.5) / SH_C0).astype(np.float32),
+            sh_rest=np.zeros((len(records), 0, 3), np.float32),
+            opacity_logits=(np.log(opacities) - np.log1p(-opacities)).astype(np.float32),
+            log_scales=np.log(np.where(records["scale"] < 0, np.nan, records["scale"]).clip(MIN_SCALE, None)),
+            quats=splat_quats(records),
+        )
+    return in_our_axes(sound_rows(path, rows), axes, is_for_viewers=True)

@@ -16,6 +16,8 @@ from ggavatar.formats.stored_gaussians import StoredGaussians
 from ggavatar.io.atomic import write_atomically
 
 MAGIC, VERSION, FRACTION_BITS = 0x5053474E, 3, 12
+MAX_SPZ_POSITION = float(1 << 23 - FRACTION_BITS)
+"""Largest coordinate that 24 bits of fixed point hold, m."""
 _HALF_DIAGONAL = np.sqrt(0.5)
 
 

@@ -32,6 +32,7 @@ class StoredGaussians:
         log_scales: Natural logarithms of the standard deviations in m (or in the units of its triangle).
         quats: wxyz, of any length but zero.
         faces: Index of the triangle that each Gaussian is bound to; None for Gaussians in world space.
+        notes: What the reader of a file assumed, dropped or ignored, as sentences.
     """
 
     means: Float[ndarray, "N 3"]
@@ -41,6 +42,7 @@ class StoredGaussians:
     log_scales: Float[ndarray, "N 3"]
     quats: Float[ndarray, "N 4"]
     faces: Int[ndarray, " N"] | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.means)
@@ -97,6 +99,26 @@ def rotate_180_about_x(rows: StoredGaussians) -> StoredGaussians:
         quats=np.stack((-x, w, -z, y), axis=1),
         sh_rest=rows.sh_rest * SH_SIGNS_180_ABOUT_X[: rows.sh_rest.shape[1], None],
     )
+
+
+def flip_axes(rows: StoredGaussians, signs: tuple[int, int, int]) -> StoredGaussians:
+    """Reverse axes of Gaussians, each sign ±1: also a reflection, from right-handed axes to left-handed ones.
+
+    A Gaussian is symmetric in its own axes, so its rotation R becomes S·R·S, which is a rotation again.
+    """
+    x, y, z = signs
+    return dataclasses.replace(
+        rows,
+        means=rows.means * np.array([x, y, z], np.float32),
+        quats=rows.quats * np.array([1, y * z, x * z, x * y], np.float32),
+        sh_rest=rows.sh_rest * _harmonic_signs(x, y, z)[: rows.sh_rest.shape[1], None],
+    )
+
+
+def _harmonic_signs(x: int, y: int, z: int) -> ndarray:
+    """Signs of the harmonics of degree 1 to 3, in the order of 3DGS, where directions change signs."""
+    second = [x * y, y * z, 1, x * z, 1]
+    return np.array([y, z, x, *second, y, x * y * z, y, z, x, z, x], np.float32)
 
 
 def _numbers(tensor: torch.Tensor) -> Float[ndarray, "..."]:

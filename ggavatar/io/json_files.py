@@ -19,10 +19,6 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
     Raises:
         InputError: No such file, larger than `limit`, not valid JSON, not an object, or holding NaN or infinity.
     """
-
-    def refuse(constant: str) -> float:
-        raise ValueError(f"{constant} is not a JSON number")
-
     try:
         with path.open("rb") as file:
             text = file.read(limit + 1)
@@ -32,6 +28,19 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
         raise InputError(f"{path}: expected a JSON file, found a folder") from error
     if len(text) > limit:
         raise InputError(f"{path}: expected at most {limit / 2**20:g} MiB of JSON, found more; not one of our files")
+    return parse_json(path, text)
+
+
+def parse_json(path: Path, text: bytes) -> dict[str, Any]:
+    """A JSON object from the bytes of a file, or of a part of it.
+
+    Raises:
+        InputError: Not valid JSON, not an object, or holding NaN or infinity.
+    """
+
+    def refuse(constant: str) -> float:
+        raise ValueError(f"{constant} is not a JSON number")
+
     try:
         data = json.loads(text.decode("utf-8"), parse_constant=refuse)
     except (ValueError, RecursionError) as error:

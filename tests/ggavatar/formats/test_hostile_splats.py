@@ -1,0 +1,143 @@
+"""Seeded mutations of every format of Gaussians: an InputError that names the file or sound Gaussians, soon, in bounds.
+
+$GGAVATAR_MUTATIONS sets how many there are of each kind (60 if not set).
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import resource
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggavatar.errors import InputError
+from ggavatar.formats.file_kinds import file_kind
+from ggavatar.formats.gaussian_files import read_gaussians
+from tests.support.mutations import COUNT, MAX_SECONDS, ODD_VALUES, check_value_mutations, mutate
+from tests.support.splat_files import SPZ_CODES, compressed_ply, ply, sog, sog_1, sog_2, spz, zipped
+
+
+def plain_ply(encoding: str) -> bytes:
+    generator = np.random.default_rng(0)
+    names = [*"xyz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(9)), "opacity"]
+    names += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    other = {"other": {"a": np.arange(3, dtype="u1")}}
+    columns = {name: generator.normal(-0.5, 1, 20).astype(np.float32) for name in names}
+    return ply(other | {"vertex": columns}, encoding, comments=[b"\xff\xfe"])
+
+
+def older(version: int) -> bytes:
+    codes = SPZ_CODES | {"rotations": [[128, 127, 130]] * 3}
+    return spz(version, codes | ({"positions": [[0.1, 0.2, 0.3]] * 3} if version == 1 else {}), 1)
+
+
+def splat() -> bytes:
+    generator = np.random.default_rng(0)
+    floats = generator.uniform(0.01, 0.1, (40, 6)).astype("<f4").view(np.uint8).reshape(40, 24)
+    return (
+        np.c_[floats, generator.integers(1, 255, (40, 4)), np.full((40, 4), (255, 128, 128, 128))]
+        .astype("u1")
+        .tobytes()
+    )
+
+
+FILES: dict[str, Callable[[], bytes]] = {
+    "ascii.ply": lambda: plain_ply("ascii"),
+    "little.ply": lambda: plain_ply("binary_little_endian"),
+    "big.ply": lambda: plain_ply("binary_big_endian"),
+    "compressed.ply": lambda: compressed_ply(40)[1],
+    "1.spz": lambda: older(1),
+    "2.spz": lambda: older(2),
+    "3.spz": lambda: spz(3, SPZ_CODES, 1, axes=6),
+    "4.spz": lambda: spz(4, SPZ_CODES, 1, axes=6),
+    "1.sog": lambda: zipped(sog(*sog_1())),
+    "2.sog": lambda: zipped(sog(*sog_2())),
+    "a.splat": splat,
+}
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """One gigabyte more than now, at most."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20
+
+
+def read(path: Path) -> bool:
+    """Whether a file is read, into finite numbers; otherwise it is refused by name, soon."""
+    began = time.monotonic()
+    try:
+        rows = read_gaussians(path)
+    except InputError as error:
+        assert path.name in str(error) or path.parent.name in str(error)
+        assert len(str(error)) < 1000
+        return False
+    finally:
+        assert time.monotonic() - began < MAX_SECONDS
+    arrays = (rows.means, rows.sh_dc, rows.sh_rest, rows.opacity_logits, rows.log_scales, rows.quats)
+    assert len(rows) > 0 and all(np.isfinite(array).all() for array in arrays)
+    return True
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_mutated_bytes(tmp_path: Path, name: str) -> None:
+    path, original, generator, refused = tmp_path / name, FILES[name](), random.Random(len(name)), 0
+    path.write_bytes(original)
+    assert read(path)
+    for _ in range(COUNT):
+        path.write_bytes(mutate(original, generator))
+        file_kind(path)
+        refused += not read(path)
+    assert refused > COUNT // 20
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name.endswith("ply")])
+def test_mutated_headers(tmp_path: Path, name: str) -> None:
+    """Words of the header are replaced by others, among them counts up to 10³⁰."""
+    path, original, generator = tmp_path / name, FILES[name](), random.Random(1)
+    end = original.index(b"end_header")
+    words = original[:end].split(b" ")
+    odd = [b"element", b"property", b"list", b"uint", b"double", b"vertex", b"x", b"\n", b"-1", b"0", b"1e9", b"9" * 12]
+    odd += [b"9" * 30, b"vertex 4000000000\n", b"\xff"]
+    for _ in range(COUNT):
+        changed = list(words)
+        for _ in range(generator.randint(1, 3)):
+            changed[generator.randrange(1, len(changed))] = generator.choice(odd)
+        path.write_bytes(b" ".join(changed) + original[end:])
+        read(path)
+
+
+@pytest.mark.parametrize("make", [sog_1, sog_2])
+def test_mutated_values_of_a_sog(tmp_path: Path, make: Callable[[], tuple[dict, dict]]) -> None:
+    for name, content in sog(*make()).items():
+        (tmp_path / name).write_bytes(content)
+    meta = tmp_path / "meta.json"
+    original = meta.read_text()
+    check_value_mutations(meta, original, lambda: read_gaussians(meta), 5)
+    data = json.loads(original)
+    for value in (*ODD_VALUES, 2**31, 1e29, -1e29, ["a" * 300] * 2, [1e308] * 3):
+        for part in ("means", "scales", "quats", "sh0", "shN"):
+            for key in data[part]:
+                meta.write_text(json.dumps(data | {part: data[part] | {key: value}}))
+                try:
+                    read_gaussians(meta)
+                except InputError as error:
+                    assert "meta.json" in str(error) or tmp_path.name in str(error)
+
+
+def test_a_line_without_end(tmp_path: Path) -> None:
+    """20 MB in one line, in the header and behind it."""
+    head = plain_ply("ascii")
+    (tmp_path / "a.ply").write_bytes(head + b"1 " * 10_000_000)
+    assert read(tmp_path / "a.ply")
+    start = head.index(b"end_header\n") + len(b"end_header\n")
+    (tmp_path / "a.ply").write_bytes(head[:start] + b"1 " * 10_000_000)
+    assert not read(tmp_path / "a.ply")
+    (tmp_path / "a.ply").write_bytes(b"ply\ncomment " + b"x" * 20_000_000)
+    assert not read(tmp_path / "a.ply")
