@@ -73,9 +73,7 @@ def color_conversion(stated: StatedColors) -> ColorConversion | ProfileConversio
         return None
     usual = stated.gamma is None or _DISPLAY_GAMMAS[0] <= stated.gamma <= _DISPLAY_GAMMAS[1]
     corners = stated.chromaticities or BT709
-    return conversion_to_srgb(
-        ColorSpace(2, BT709 if is_srgb(corners) else corners, None if usual else stated.gamma)
-    )
+    return conversion_to_srgb(ColorSpace(2, BT709 if is_srgb(corners) else corners, None if usual else stated.gamma))
 
 
 def _png_colors(data: bytes) -> StatedColors:

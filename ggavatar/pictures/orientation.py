@@ -83,7 +83,7 @@ def exif_orientation(block: bytes) -> Orientation:
     return UPRIGHT
 
 
-def matrix_orientation(matrix: Sequence[float]) -> Orientation | None:
+def matrix_orientation(matrix: Sequence[int]) -> Orientation | None:
     """The orientation in a video's display matrix; None if it does more than turn by right angles and mirror.
 
     Args:
@@ -91,7 +91,7 @@ def matrix_orientation(matrix: Sequence[float]) -> Orientation | None:
             at (a·p + c·q + x, b·p + d·q + y). Translation and scale do not matter here. A matrix of zeros, which some
             programs write, is taken as upright.
     """
-    a, b, c, d = (float(matrix[place]) for place in (0, 1, 3, 4))
+    a, b, c, d = (matrix[place] for place in (0, 1, 3, 4))
     first, second = math.hypot(a, b), math.hypot(c, d)
     if first == 0 and second == 0:
         return UPRIGHT

@@ -24,9 +24,5 @@ def tone_mapped(luminance: Float[np.ndarray, "*N"], peak: float, target: float =
     highest = float(luminance_to_pq(np.array(target))) / top
     knee = 1.5 * highest - 0.5
     t = np.clip((signal - knee) / (1 - knee), 0.0, 1.0)
-    spline = (
-        (2 * t**3 - 3 * t**2 + 1) * knee
-        + (t**3 - 2 * t**2 + t) * (1 - knee)
-        + (-2 * t**3 + 3 * t**2) * highest
-    )
+    spline = (2 * t**3 - 3 * t**2 + 1) * knee + (t**3 - 2 * t**2 + t) * (1 - knee) + (-2 * t**3 + 3 * t**2) * highest
     return pq_to_luminance(np.where(signal < knee, signal, spline) * top)
