@@ -34,8 +34,9 @@ def read_scored(path: Path, background: Color | None) -> DecodedImage:
     """Decode a prediction or a ground-truth image.
 
     EXIF turns the image upright and colors become sRGB as in `ggavatar.io.picture_decoding`. 16-bit values are rounded
-    to the nearest of 256 levels (the protocol's quantization), gray is repeated, palettes are expanded. Straight alpha is composited on the protocol's background in sRGB; if the protocol leaves the background
-    open, an image that is not fully opaque is an error, since its background would be a guess.
+    to the nearest of 256 levels (the protocol's quantization), gray is repeated, palettes are expanded. Straight alpha
+    is composited on the protocol's background in sRGB; if the protocol leaves the background open, an image that is not
+    fully opaque is an error, since its background would be a guess.
 
     Args:
         path: PNG or JPEG file.

@@ -69,7 +69,7 @@ EXIF = {
 
 
 def exif_orientation(block: bytes) -> Orientation:
-    """The orientation in an EXIF block, which begins with its TIFF header; upright if there is none or it is damaged."""
+    """The orientation in an EXIF block, from its TIFF header on; upright if it has none or is damaged."""
     try:
         order = {b"II*\0": "<", b"MM\0*": ">"}[block[:4]]
         (directory,) = struct.unpack_from(order + "I", block, 4)

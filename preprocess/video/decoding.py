@@ -19,9 +19,9 @@ from preprocess.video.frame import DecodedFrame
 from preprocess.video.frame_conversion import (
     FrameColors,
     FrameConversion,
-    display_matrix,
     frame_colors,
     frame_conversion,
+    stated_peak,
 )
 
 # Containers only: playlists and concatenation scripts could make the decoder open other files or URLs.
@@ -193,17 +193,18 @@ class _FrameKinds:
             InputError: A frame that cannot be converted, or of another shape than the first.
         """
         colors = frame_colors(frame, self._stream.codec_context)
-        # The peak may be stated anew in every scene; the curve must not change.
-        self._peak = self._peak or colors.peak
-        colors = colors._replace(peak=self._peak)
         aspect = Fraction(self._stream.sample_aspect_ratio or 1)
-        key = (frame.format.name, frame.width, frame.height, display_matrix(frame), colors, aspect)
+        # Side data is read only for a new kind of frame: PyAV keeps every frame whose side data was looked at alive
+        # until the next garbage collection, which costs 40 % of the decoding speed.
+        key = (frame.format.name, frame.width, frame.height, getattr(frame, "rotation", 0), colors, aspect)
         if key not in self._known:
             self._known[key] = self._new(frame, number, colors, aspect)
         return self._known[key], self._size or self._known[key].size
 
     def _new(self, frame: Any, number: int, colors: FrameColors, aspect: Fraction) -> FrameConversion:
-        kind = frame_conversion(self._path, frame, colors, aspect)
+        # The peak may be stated anew in every scene; the curve must not change.
+        self._peak = self._peak or stated_peak(frame)
+        kind = frame_conversion(self._path, frame, colors, aspect, self._peak)
         self._size = self._size or kind.size
         (width, height), (first_width, first_height) = kind.size, self._size
         notes = list(kind.notes)

@@ -35,14 +35,12 @@ class FrameColors(NamedTuple):
         full_range: Whether black is 0; None if not stated.
         primaries: Primaries.
         transfer: Transfer curve.
-        peak: Peak luminance of PQ content, cd/m²; None if not stated.
     """
 
     matrix: int
     full_range: bool | None
     primaries: int
     transfer: int
-    peak: float | None
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,9 @@ class FrameConversion:
         return cv2.resize(image, self.size, interpolation=cv2.INTER_LANCZOS4)
 
 
-def frame_conversion(path: Path, frame: Any, colors: FrameColors, aspect: Fraction) -> FrameConversion:
+def frame_conversion(
+    path: Path, frame: Any, colors: FrameColors, aspect: Fraction, peak: float | None = None
+) -> FrameConversion:
     """The conversion that a frame needs.
 
     Args:
@@ -106,14 +106,15 @@ def frame_conversion(path: Path, frame: Any, colors: FrameColors, aspect: Fracti
         frame: The decoded frame.
         colors: What is stated about its colors.
         aspect: Width of a stored pixel by its height.
+        peak: Peak luminance of PQ content, cd/m²; None if not stated.
 
     Raises:
         InputError: An orientation, a pixel shape or colors that cannot be converted.
     """
-    orientation = _orientation(path, display_matrix(frame))
+    orientation = _orientation(path, _display_matrix(frame))
     turned = orientation.size(frame.width, frame.height)
     size = _square_size(path, turned, 1 / aspect if orientation.transposed else aspect)
-    color = _color(path, frame, colors)
+    color = _color(path, frame, colors, peak)
     notes = []
     if orientation != UPRIGHT:
         notes.append(f"frames are {orientation.words}, as the video's display matrix says")
@@ -137,27 +138,26 @@ def frame_colors(frame: Any, context: Any) -> FrameColors:
         frame: The decoded frame.
         context: The codec context of the stream in the container.
     """
-    # Older PyAV has primaries and transfer curve only in the context.
     matrix, primaries, transfer = (
-        _stated(getattr(frame, name, _UNSTATED), getattr(context, name, _UNSTATED))
-        for name in ("colorspace", "color_primaries", "color_trc")
+        _stated(frame, context, name) for name in ("colorspace", "color_primaries", "color_trc")
     )
     range_ = frame.color_range or context.color_range
-    return FrameColors(matrix, (range_ == _FULL_RANGE) if range_ in (1, 2) else None, primaries, transfer, _peak(frame))
+    return FrameColors(matrix, (range_ == _FULL_RANGE) if range_ in (1, 2) else None, primaries, transfer)
 
 
-def display_matrix(frame: Any) -> bytes | None:
+def _display_matrix(frame: Any) -> bytes | None:
     """The display matrix of a frame: nine 32-bit integers in this machine's byte order, or None."""
     found = frame.side_data.get("DISPLAYMATRIX")
     return None if found is None else bytes(found)
 
 
-def _stated(*values: int) -> int:
-    """The first value that states something."""
-    return next((int(value) for value in values if value not in (_UNSTATED, None)), _UNSTATED)
+def _stated(frame: Any, context: Any, name: str) -> int:
+    """A code point of the frame or, where it is not stated, of the stream; older PyAV has some only there."""
+    found = getattr(frame, name, _UNSTATED)
+    return int(getattr(context, name, _UNSTATED) if found == _UNSTATED else found)
 
 
-def _peak(frame: Any) -> float | None:
+def stated_peak(frame: Any) -> float | None:
     """The peak that PQ content states, cd/m²: its brightest pixel (MaxCLL), else its mastering display."""
     light = frame.side_data.get("CONTENT_LIGHT_LEVEL")
     if light is not None and len(bytes(light)) >= 4:
@@ -204,7 +204,7 @@ def _square_size(path: Path, turned: tuple[int, int], aspect: Fraction) -> tuple
     return size
 
 
-def _color(path: Path, frame: Any, colors: FrameColors) -> ColorConversion | None:
+def _color(path: Path, frame: Any, colors: FrameColors, peak: float | None) -> ColorConversion | None:
     """The conversion to sRGB, after checking that swscale can undo the matrix."""
     dolby = any(str(part.type.name).startswith("DOVI") for part in frame.side_data)
     if dolby and colors.transfer == _UNSTATED:
@@ -215,7 +215,7 @@ def _color(path: Path, frame: Any, colors: FrameColors) -> ColorConversion | Non
     try:
         if colors.matrix not in _SWSCALE_MATRICES:
             raise UnsupportedColorError(f"the Y'CbCr matrix with code point {colors.matrix} of ITU-T H.273")
-        return conversion_to_srgb(tagged_color_space(colors.primaries, colors.transfer, colors.peak))
+        return conversion_to_srgb(tagged_color_space(colors.primaries, colors.transfer, peak))
     except UnsupportedColorError as error:
         raise InputError(
             f"{path}: the video states {error}, which cannot be converted to sRGB; convert it with an ffmpeg that has "
