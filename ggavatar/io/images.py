@@ -123,6 +123,22 @@ def read_gray(path: Path) -> UInt8[np.ndarray, "H W"]:
     return _decode(path, color=False)
 
 
+def read_unchanged(path: Path) -> np.ndarray:
+    """The stored values: H×W, or H×W×3 or H×W×4 in the order red, green, blue, alpha; 8 or 16 bits; palettes as colors.
+
+    For files whose values are not colors, such as masks. Gray with alpha is returned as H×W×4.
+    """
+    import cv2
+
+    header = image_header(path)
+    image = cv2.imdecode(_checked_bytes(path), cv2.IMREAD_UNCHANGED)
+    if image is None or image.shape[:2] != (header.height, header.width):
+        raise _damaged(path)
+    if image.ndim == 2:
+        return image
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGBA)
+
+
 def _decode(path: Path, color: bool) -> np.ndarray:
     import cv2
 
