@@ -48,6 +48,9 @@ class PrepOptions:
     masks: str = "auto"
     """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto (selfie)."""
 
+    invert_masks: bool = False
+    """The masks in the `--masks` folder are white where the person is not."""
+
     size: int = 512
     """Longer side of the capture's images, px."""
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from evaluate.scoring.ground_truth import Color
 from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
-from ggavatar.io.image_header import image_header
-from ggavatar.io.picture_decoding import file_bytes, read_picture, to_8_bits
+from ggavatar.io.picture_decoding import read_picture, read_unchanged, to_8_bits
 
 
 class DecodedImage(NamedTuple):
@@ -63,14 +61,10 @@ def read_weights(path: Path) -> tuple[Float[np.ndarray, "H W"], str]:
     Raises:
         InputError: The file is missing or damaged.
     """
-    header = image_header(path)
-    values = cv2.imdecode(np.frombuffer(file_bytes(path), np.uint8), cv2.IMREAD_UNCHANGED)
-    if values is None:
-        raise InputError(f"{path}: the mask is damaged and cannot be decoded; write it again")
-    unit = _unit(values)
+    unit = _unit(read_unchanged(path))
     if unit.ndim == 3:
         unit = unit[..., 3] if unit.shape[2] == 4 else unit.mean(axis=2)
-    return np.ascontiguousarray(header.orientation.apply(unit), dtype=np.float32), sha256_of(path)
+    return np.ascontiguousarray(unit, dtype=np.float32), sha256_of(path)
 
 
 def _unit(values: np.ndarray) -> np.ndarray:

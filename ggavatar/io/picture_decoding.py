@@ -60,12 +60,34 @@ def read_picture(path: Path) -> Picture:
     Raises:
         InputError: No such file, damaged, or colors that cannot be converted.
     """
-    data = file_bytes(path)
-    kind = _kind(path, data)
-    stored, alpha = _cmyk(path, data) if kind.stated.is_cmyk else _decoded(path, data, kind.header)
-    color = kind.header.orientation.apply(_converted(stored, kind.conversion))
-    turned = None if alpha is None else kind.header.orientation.apply(alpha)
-    return Picture(color, turned, kind.notes)
+    kind = picture_kind(path)
+    stored = _cmyk(path) if kind.stated.is_cmyk else read_unchanged(path)
+    color, alpha = stored, None
+    if kind.has_alpha and stored.ndim == 3 and stored.shape[2] == 4:
+        color, alpha = stored[..., :3], np.ascontiguousarray(stored[..., 3])
+    color = _converted(color, kind.conversion)
+    if kind.stated.is_cmyk:
+        color = kind.header.orientation.apply(color)
+    return Picture(np.ascontiguousarray(color), alpha, kind.notes)
+
+
+def read_unchanged(path: Path) -> np.ndarray:
+    """The stored values, upright: [H, W], or [H, W, 3] or [H, W, 4] in the order RGBA; 8 or 16 bits; palettes as colors.
+
+    Gray with alpha is returned with four channels. For masks, whose values are not colors, and for `read_picture`.
+
+    Raises:
+        InputError: No such file, or damaged.
+    """
+    import cv2
+
+    header, data = image_header(path), file_bytes(path)
+    values = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if values is None or header.orientation.size(values.shape[1], values.shape[0]) != (header.width, header.height):
+        raise damaged(path)
+    if values.ndim == 3:
+        values = cv2.cvtColor(values, cv2.COLOR_BGR2RGB if values.shape[2] == 3 else cv2.COLOR_BGRA2RGBA)
+    return header.orientation.apply(values)
 
 
 def picture_kind(path: Path) -> PictureKind:
@@ -74,11 +96,7 @@ def picture_kind(path: Path) -> PictureKind:
     Raises:
         InputError: No such file, damaged, or colors that cannot be converted.
     """
-    return _kind(path, file_bytes(path))
-
-
-def _kind(path: Path, data: bytes) -> PictureKind:
-    header, stated = image_header(path), stated_colors(data)
+    header, stated = image_header(path), stated_colors(file_bytes(path))
     notes, conversion = [], None
     if header.orientation != UPRIGHT:
         notes.append(f"images {header.orientation.words}, as their EXIF orientation says")
@@ -108,26 +126,12 @@ def _kind(path: Path, data: bytes) -> PictureKind:
     return PictureKind(header, stated, conversion, tuple(notes))
 
 
-def _decoded(path: Path, data: bytes, header: ImageHeader) -> tuple[np.ndarray, Levels | None]:
-    """Stored RGB (or gray) and alpha."""
-    import cv2
-
-    values = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if values is None or header.orientation.size(values.shape[1], values.shape[0]) != (header.width, header.height):
-        raise damaged(path)
-    if values.ndim == 2:
-        return values, None
-    if values.shape[2] == 4:
-        return cv2.cvtColor(values, cv2.COLOR_BGRA2RGB), np.ascontiguousarray(values[..., 3])
-    return cv2.cvtColor(values, cv2.COLOR_BGR2RGB), None
-
-
-def _cmyk(path: Path, data: bytes) -> tuple[np.ndarray, None]:
+def _cmyk(path: Path) -> UInt8[np.ndarray, "H W 4"]:
     """Stored CMYK; Pillow undoes Adobe's inversion."""
     from PIL import Image
 
     try:
-        return np.array(Image.open(io.BytesIO(data), formats=["JPEG"])), None
+        return np.array(Image.open(io.BytesIO(file_bytes(path)), formats=["JPEG"]))
     except (OSError, ValueError, SyntaxError) as error:
         raise damaged(path) from error
 
