@@ -1,4 +1,4 @@
-"""Third stage: a soft foreground mask for every image, from the user's files, a network or GrabCut."""
+"""Third stage: a soft foreground mask for every image: the user's, the video's alpha, a network's or GrabCut's."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from preprocess.evidence.faces import faces_in_some, local_landmark_tracker
 from preprocess.masks.checks import is_empty
 from preprocess.masks.user_masks import UserMasks, open_user_masks, require_credible
 from preprocess.options import PrepOptions
+from preprocess.pipeline.alpha_masks import NAME as ALPHA
+from preprocess.pipeline.alpha_masks import alpha_masks
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
@@ -44,6 +46,8 @@ def run(context: StageContext) -> Mapping[str, Any]:
     wanted = context.options.masks
     if wanted not in KINDS and Path(wanted).is_dir():
         return _user_masks(context, Path(wanted))
+    if wanted == "auto" and context.results["frames"]["alpha"]:
+        return _alpha_masks(context)
     return _computed_masks(context, wanted)
 
 
@@ -138,6 +142,21 @@ def _source_size(context: StageContext) -> tuple[int, int]:
     return int(context.results["frames"]["width"]), int(context.results["frames"]["height"])
 
 
+def _alpha_masks(context: StageContext) -> Mapping[str, Any]:
+    """Masks from the source's alpha channel."""
+    source, numbers = str(context.options.input), list(context.results["frames"]["numbers"])
+    context.reporter.note(f"{source}: its alpha channel is used as masks; --masks selfie computes them instead")
+    kept, dropped = [], {}
+    for done, (number, mask) in enumerate(alpha_masks(context), start=1):
+        if is_empty(mask):
+            dropped[number] = EMPTY_MASK
+        else:
+            kept.append(number)
+        context.reporter.advance(done, len(numbers))
+    _report_dropped(context, source, len(numbers), dropped)
+    return {"numbers": kept, "dropped": _listed(dropped), "kind": ALPHA, "offset": 0, "name": ALPHA}
+
+
 def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     """Masks from a network or GrabCut, frame by frame."""
     from preprocess.masks.matting import open_matting
@@ -165,4 +184,4 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     return {"numbers": kept, "dropped": _listed(dropped), "kind": matting.name, "offset": 0, "name": matting.name}
 
 
-STAGE = Stage("masks", "Masks", inputs, run, outputs=("masks",), version=2)
+STAGE = Stage("masks", "Masks", inputs, run, outputs=("masks",), version=3)

@@ -77,6 +77,7 @@ def _provenance(context: StageContext) -> dict[str, Any]:
         "masks": masks["name"],
         "tracking": {key: value for key, value in tracking["report"].items() if key != "warnings"},
         "losses": source["losses"],
+        "conversions": source["conversions"],
         "tool": f"ggavatar {tool}",
     }
 
