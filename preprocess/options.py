@@ -46,8 +46,10 @@ class PrepOptions:
     """
 
     masks: str = "auto"
-    """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto (the alpha
-    channel of the video if it has one, else selfie)."""
+    """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto.
+
+    Auto takes the alpha channel of the video if it has one, else selfie.
+    """
 
     invert_masks: bool = False
     """The masks in the `--masks` folder are white where the person is not."""

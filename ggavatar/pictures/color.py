@@ -153,7 +153,7 @@ class ColorConversion:
         return min(max(self.space.peak or _UNKNOWN_PEAK, WHITE), PQ_PEAK)
 
     @cached_property
-    def _tables(self) -> tuple[Float32[np.ndarray, " N"], Float32[np.ndarray, " N"]]:
+    def _tables(self) -> tuple[Float32[np.ndarray, " A"], Float32[np.ndarray, " B"]]:
         """Linear light by 8-bit and by 16-bit value; white is 1, for HLG scene light."""
         curve: Callable[[np.ndarray], np.ndarray] = srgb_to_linear
         power = self.space.gamma or _GAMMAS.get(self.space.transfer)

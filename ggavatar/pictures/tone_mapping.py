@@ -19,9 +19,9 @@ def tone_mapped(luminance: Float[np.ndarray, "*N"], peak: float, target: float =
     """
     if peak <= target:
         return np.minimum(luminance, target)
-    top = float(luminance_to_pq(np.array(peak)))
+    top, lower = luminance_to_pq(np.array([peak, target]))
     signal = np.minimum(luminance_to_pq(luminance) / top, 1.0)
-    highest = float(luminance_to_pq(np.array(target))) / top
+    highest = lower / top
     knee = 1.5 * highest - 0.5
     t = np.clip((signal - knee) / (1 - knee), 0.0, 1.0)
     spline = (2 * t**3 - 3 * t**2 + 1) * knee + (t**3 - 2 * t**2 + t) * (1 - knee) + (-2 * t**3 + 3 * t**2) * highest
