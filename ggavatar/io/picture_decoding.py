@@ -72,7 +72,7 @@ def read_picture(path: Path) -> Picture:
 
 
 def read_unchanged(path: Path) -> np.ndarray:
-    """The stored values, upright: [H, W], or [H, W, 3] or [H, W, 4] in the order RGBA; 8 or 16 bits; palettes as colors.
+    """The stored values, upright: [H, W], or [H, W, 3 or 4] in the order RGBA; 8 or 16 bits; palettes as colors.
 
     Gray with alpha is returned with four channels. For masks, whose values are not colors, and for `read_picture`.
 

@@ -108,7 +108,7 @@ def planar_frame(planes: list[np.ndarray], pixels: str) -> av.VideoFrame:
 
 
 def yuv_planes(rgb: np.ndarray, red: float, blue: float, bits: int, full: bool) -> list[np.ndarray]:
-    """R'G'B' in [0, 1] as Y'CbCr 4:4:4 (BT.601, BT.709, BT.2020: the same formula with other weights of red and blue)."""
+    """R'G'B' in [0, 1] as Y'CbCr 4:4:4; BT.601, BT.709 and BT.2020 differ in the weights of red and blue."""
     y = rgb @ [red, 1 - red - blue, blue]
     chroma = ((rgb[..., 2] - y) / (2 * (1 - blue)), (rgb[..., 0] - y) / (2 * (1 - red)))
     scale, top = 2 ** (bits - 8), 2**bits - 1
@@ -119,7 +119,7 @@ def yuv_planes(rgb: np.ndarray, red: float, blue: float, bits: int, full: bool) 
 
 
 def with_display_matrix(source: Path, target: Path, matrix: tuple[float, float, float, float]) -> None:
-    """Copy an mp4 and write a, b, c, d into its track header's matrix, as phones do (ISO/IEC 14496-12, section 8.3.2)."""
+    """Copy an mp4 and write a, b, c, d into its track header's matrix (ISO/IEC 14496-12, section 8.3.2)."""
     data = bytearray(source.read_bytes())
     place = data.index(b"tkhd") + 4 + 40
     for index, value in zip((0, 1, 3, 4), matrix, strict=True):

@@ -5,7 +5,6 @@ Also covers `ggavatar/pictures/transfer.py`, `ggavatar/pictures/gamut.py` and `g
 
 from __future__ import annotations
 
-
 import numpy as np
 import pytest
 
@@ -96,7 +95,7 @@ def test_the_stated_peak_decides_the_curve():
 
 
 def test_display_p3_in_closed_form():
-    """Each color through XYZ with published numbers: Display P3 to XYZ by SMPTE EG 432-1, XYZ to sRGB by IEC 61966-2-1."""
+    """Through XYZ with published numbers: Display P3 to XYZ by SMPTE EG 432-1, XYZ to sRGB by IEC 61966-2-1."""
     to_xyz = np.array([[0.48657, 0.26567, 0.19822], [0.22897, 0.69174, 0.07929], [0, 0.04511, 1.04394]])
     to_srgb = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
     values = np.random.default_rng(4).integers(0, 256, (16, 16, 3)).astype(np.uint8)
