@@ -91,7 +91,7 @@ def matrix_orientation(matrix: Sequence[int]) -> Orientation | None:
             at (a·p + c·q + x, b·p + d·q + y). Translation and scale do not matter here. A matrix of zeros, which some
             programs write, is taken as upright.
     """
-    a, b, c, d = (matrix[place] for place in (0, 1, 3, 4))
+    a, b, c, d = (float(matrix[place]) for place in (0, 1, 3, 4))
     first, second = math.hypot(a, b), math.hypot(c, d)
     if first == 0 and second == 0:
         return UPRIGHT

@@ -123,7 +123,8 @@ class Video:
 
     def _deinterlaced(self, frames: Iterator[Any]) -> Iterator[Any]:
         """Deinterlaced frames; progressive frames pass unchanged."""
-        graph, kind = None, None
+        graph: Any = None
+        kind = None
         for frame in frames:
             if graph is None and not frame.interlaced_frame:
                 yield frame

@@ -101,9 +101,9 @@ def test_display_p3_photos(tmp_path, container):
 
 
 def test_a_profile_in_several_jpeg_segments(tmp_path):
-    """ICC.1, annex B.4: each segment has its number and the count."""
+    """ICC.1, annex B.4: each segment has its number and the count; here the second lies first."""
     profile, data = display_p3_profile(), jpeg(Image.fromarray(asymmetric()))
-    for number, part in ((2, profile[300:]), (1, profile[:300])):
+    for number, part in ((1, profile[:300]), (2, profile[300:])):
         data = with_jpeg_segment(data, 0xE2, b"ICC_PROFILE\0" + bytes([number, 2]) + part)
     assert "Display P3" in read_picture(stored(tmp_path / "a.jpg", data)).notes[0]
 
