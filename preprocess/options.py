@@ -46,7 +46,13 @@ class PrepOptions:
     """
 
     masks: str = "auto"
-    """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto (selfie)."""
+    """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto.
+
+    Auto takes the alpha channel of the video if it has one, else selfie.
+    """
+
+    invert_masks: bool = False
+    """The masks in the `--masks` folder are white where the person is not."""
 
     size: int = 512
     """Longer side of the capture's images, px."""

@@ -23,6 +23,7 @@ class Terminal:
         self._errors = Console(stderr=True, highlight=False, soft_wrap=True)
         self._output = Console(highlight=False, soft_wrap=True)
         self._warnings: list[str] = []
+        self._notes: list[str] = []
 
     @contextmanager
     def stage(self, stage: Stage, skipped: bool) -> Iterator[_StageLine]:
@@ -31,7 +32,7 @@ class Terminal:
         with Progress(
             *columns, console=self._errors, transient=True, disable=self._quiet or not self._errors.is_terminal
         ) as progress:
-            line = _StageLine(progress, stage.title, self._warnings)
+            line = _StageLine(progress, stage.title, self._warnings, self._notes)
             began = time.monotonic()
             yield line
         if not self._quiet:
@@ -42,6 +43,8 @@ class Terminal:
         """Print the warnings, what was written, what was lost and the next command."""
         for warning in self._warnings:
             self._errors.print(f"warning: {warning}", markup=False)
+        for note in () if self._quiet else self._notes:
+            self._errors.print(f"note: {note}", markup=False)
         lines = report_lines(results["doctor"])
         for line in lines if not self._quiet else [line for line in lines if line.startswith("fault")]:
             self._errors.print(line, markup=False)
@@ -58,8 +61,8 @@ class Terminal:
 class _StageLine:
     """Reporter of one stage."""
 
-    def __init__(self, progress: Progress, title: str, warnings: list[str]) -> None:
-        self._progress, self._warnings = progress, warnings
+    def __init__(self, progress: Progress, title: str, warnings: list[str], notes: list[str]) -> None:
+        self._progress, self._warnings, self._notes = progress, warnings, notes
         self._task = progress.add_task(title, total=None)
         self.done = 0
 
@@ -71,6 +74,10 @@ class _StageLine:
     def warn(self, message: str) -> None:
         """Keep a warning for the summary."""
         self._warnings.append(message)
+
+    def note(self, message: str) -> None:
+        """Keep an assumption for the summary."""
+        self._notes.append(message)
 
 
 def report_lines(report: Mapping[str, Any]) -> list[str]:

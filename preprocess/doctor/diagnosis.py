@@ -16,15 +16,17 @@ from ggavatar.io.atomic import write_text
 from preprocess.doctor import quality
 from preprocess.doctor.convention_ranking import (
     IOU_TIE_MARGIN,
+    ConventionTest,
     Ranking,
     explained_by_frame_offset,
     photometric_alternative,
     prepare_convention_test,
     rank_hypotheses,
 )
-from preprocess.doctor.conventions import AXES, EYES, OTHERS
+from preprocess.doctor.conventions import AS_IS, AXES, EYES, FIXES, OTHERS
 from preprocess.doctor.frame_offset import find_offset
 from preprocess.doctor.letterbox import black_bars, crop_flags
+from preprocess.doctor.mask_check import FLAGS, check_masks, lies_on_faces, sampled_faces
 from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
@@ -84,22 +86,24 @@ def examine(capture: Capture, head: HeadModel) -> Diagnosis:
 def _examined(capture: Capture, head: HeadModel) -> Diagnosis:
     findings: list[Finding] = []
     measures: dict[str, Any] = {}
+    faces = sampled_faces(capture)
+    fault, words, measures["masks"] = check_masks(capture, faces)
     test = prepare_convention_test(capture, head)
-    axes = rank_hypotheses(test, capture.tracking, AXES)
-    others = rank_hypotheses(test, capture.tracking, (AXES[0], *OTHERS))
-    measures["hypotheses"] = [list(item) for item in axes.scores]
-    measures["other_hypotheses"] = [list(item) for item in others.scores]
-    own = dict(axes.scores)["as-is"]
-    measures["silhouette_iou"] = own
-    scores = dict(axes.scores) | dict(others.scores)
-    named = _convention(capture, head, (axes, others)) or _photometric_convention(capture, head, scores)
-    findings += named or _overlap(own)
+    if fault is None:
+        named = _agreement(capture, head, test, faces, measures)
+        findings += named
+    else:
+        # Nothing is concluded from masks that are not credible.
+        measures["silhouette_iou"] = float(test.overlaps(capture.tracking, AS_IS).mean())
+        named = []
+        findings.append(Finding(f"masks-{fault}", "fault", words, FLAGS[fault]))
     measures["lens"] = quality.lens(capture)
-    findings += _lens(measures["lens"], capture, bool(named))
-    findings += _offset(capture, head, measures) if not named else []
+    explained = any(finding.code in FIXES for finding in named)
+    findings += _lens(measures["lens"], capture, explained)
+    findings += _offset(capture, head, measures) if not explained else []
     findings += _eyes(capture, measures)
     findings += _jitter(capture, measures)
-    findings += _image_quality(capture, head, measures)
+    findings += _image_quality(capture, head, measures, masks_are_credible=fault is None)
     findings += _coverage(capture, measures)
     error = quality.landmark_error(capture, head)
     if error is not None:
@@ -108,8 +112,32 @@ def _examined(capture: Capture, head: HeadModel) -> Diagnosis:
     return Diagnosis(tuple(findings), measures)
 
 
-def _convention(capture: Capture, head: HeadModel, rankings: Sequence[Ranking]) -> list[Finding]:
-    """The convention the tracking was most probably written in, if not ours."""
+def _agreement(
+    capture: Capture,
+    head: HeadModel,
+    test: ConventionTest,
+    faces: Mapping[int, np.ndarray],
+    measures: dict[str, Any],
+) -> list[Finding]:
+    """Whether mesh and masks agree, and if not, the convention that explains it."""
+    axes = rank_hypotheses(test, capture.tracking, AXES)
+    others = rank_hypotheses(test, capture.tracking, (AXES[0], *OTHERS))
+    measures["hypotheses"] = [list(item) for item in axes.scores]
+    measures["other_hypotheses"] = [list(item) for item in others.scores]
+    own = dict(axes.scores)["as-is"]
+    measures["silhouette_iou"] = own
+    scores = dict(axes.scores) | dict(others.scores)
+    named = _convention(capture, head, (axes, others), faces) or _photometric_convention(capture, head, scores)
+    return named or _overlap(own, lies_on_faces(capture, head, capture.tracking, faces) if own < EXPECTED_IOU else None)
+
+
+def _convention(
+    capture: Capture, head: HeadModel, rankings: Sequence[Ranking], faces: Mapping[int, np.ndarray]
+) -> list[Finding]:
+    """The convention the tracking was most probably written in, if not ours.
+
+    None where the head lies on the faces as it is and would not with the mistake undone: then the masks are wrong.
+    """
     candidates = [ranking for ranking in rankings if ranking.best is not None]
     if not candidates:
         return []
@@ -117,6 +145,9 @@ def _convention(capture: Capture, head: HeadModel, rankings: Sequence[Ranking]) 
     assert chosen.best is not None
     before, after = dict(chosen.scores)["as-is"], chosen.scores[0][1]
     if after - before < IOU_TIE_MARGIN and explained_by_frame_offset(capture, head, chosen.best):
+        return []
+    corrected = chosen.best.correct(capture.tracking, capture.width, capture.height)
+    if lies_on_faces(capture, head, capture.tracking, faces) and not lies_on_faces(capture, head, corrected, faces):
         return []
     message = (
         f"{chosen.best.description}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
@@ -135,9 +166,15 @@ def _photometric_convention(capture: Capture, head: HeadModel, scores: dict[str,
     return [Finding(better.name, "fault", message, f"--resume --fix {better.name}")]
 
 
-def _overlap(own: float) -> list[Finding]:
+def _overlap(own: float, on_faces: bool | None) -> list[Finding]:
     if own >= EXPECTED_IOU:
         return []
+    if on_faces:
+        message = (
+            f"the mesh and the masks overlap poorly (IoU {own:.2f}, expected at least {EXPECTED_IOU}), but the mesh "
+            "lies on the faces in the images: the masks are probably wrong; look at preview.jpg"
+        )
+        return [Finding("overlap", "fault", message, "--masks")]
     message = (
         f"the mesh and the masks overlap poorly (IoU {own:.2f}, expected at least {EXPECTED_IOU}) and "
         "no known convention mistake explains it"
@@ -213,10 +250,12 @@ def _jitter(capture: Capture, measures: dict[str, Any]) -> list[Finding]:
     return [Finding("jitter", "warning", message + "; smooth it over time in the tracker")]
 
 
-def _image_quality(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:
+def _image_quality(
+    capture: Capture, head: HeadModel, measures: dict[str, Any], masks_are_credible: bool
+) -> list[Finding]:
     measures |= quality.image_quality(capture, head)
     findings, count = [], len(capture.frames)
-    if len(measures["blurred"]) > 0.05 * count:
+    if masks_are_credible and len(measures["blurred"]) > 0.05 * count:
         message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a shorter exposure"
         findings.append(Finding("blur", "warning", message))
     if len(measures["repeated"]) > 0.05 * count:
@@ -226,7 +265,7 @@ def _image_quality(capture: Capture, head: HeadModel, measures: dict[str, Any]) 
         )
         rate = capture.fps * (1 - len(measures["repeated"]) / count)
         findings.append(Finding("repeated", "warning", message, f"--fps {rate:.0f}"))
-    return findings + _bars(capture, measures)
+    return findings + (_bars(capture, measures) if masks_are_credible else [])
 
 
 def _bars(capture: Capture, measures: dict[str, Any]) -> list[Finding]:

@@ -1,35 +1,53 @@
-"""Third stage: a soft foreground mask for every image, from the user's files, a network or GrabCut."""
+"""Third stage: a soft foreground mask for every image: the user's, the video's alpha, a network's or GrabCut's."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ggavatar.errors import GateError, InputError
-from ggavatar.io.images import image_header, read_gray, read_rgb, write_png
+from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.ordered_map import ordered_map
+from preprocess.evidence.faces import faces_in_some, local_landmark_tracker
+from preprocess.masks.checks import is_empty
+from preprocess.masks.user_masks import UserMasks, open_user_masks, require_credible
 from preprocess.options import PrepOptions
+from preprocess.pipeline.alpha_masks import NAME as ALPHA
+from preprocess.pipeline.alpha_masks import alpha_masks
 from preprocess.pipeline.stage import Stage, StageContext, file_state
-from preprocess.video.crop import Crop, crop_from_json
+from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
 
 KINDS = ("auto", "selfie", "grabcut")
+NO_MASK, EMPTY_MASK = "no mask", "empty mask"
+"""Reasons in capture.json."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """The kind of masks, or the state of the files they come from."""
-    return {"masks": options.masks if options.masks in KINDS else file_state(Path(options.masks))}
+    """The kind of masks, or the state of the files they come from and how they are read.
+
+    Raises:
+        InputError: No such files, or `--invert-masks` for masks that are computed.
+    """
+    if options.masks in KINDS:
+        if options.invert_masks:
+            raise InputError(f"--invert-masks is for a folder of masks, found --masks {options.masks}; leave it out")
+        return {"masks": options.masks}
+    return {"masks": file_state(Path(options.masks)), "inverted": options.invert_masks}
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write `masks/%06d.png`; the result lists the frames that have a mask."""
+    """Write `masks/%06d.png`; the result lists the frames that have a mask, and reasons for the others."""
     (context.folder / "masks").mkdir(parents=True, exist_ok=True)
     wanted = context.options.masks
     if wanted not in KINDS and Path(wanted).is_dir():
         return _user_masks(context, Path(wanted))
+    if wanted == "auto" and context.results["frames"]["alpha"]:
+        return _alpha_masks(context)
     return _computed_masks(context, wanted)
 
 
@@ -42,60 +60,101 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
         raise InputError(
             f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
         )
-    crop, size = crop_from_json(dict(context.results["crop"]["crop"])), _source_size(context)
-
-    def image(number: int) -> np.ndarray:
-        return read_rgb(context.folder / "images" / f"{number:06d}.png")
-
-    offset = find_mask_offset(numbers, files, image, lambda path: fitted_mask(path, crop, size))
-    kept = [number for number in numbers if number + offset in files]
-
-    def write(number: int) -> None:
-        target = context.folder / "masks" / f"{number:06d}.png"
-        if not target.exists():
-            write_png(target, fitted_mask(files[number + offset], crop, size))
-
-    for done, _ in enumerate(ordered_map(write, kept), start=1):
-        context.reporter.advance(done, len(kept))
-    _report_missing(context, folder, len(numbers), len(kept), offset)
-    return {"numbers": kept, "kind": "files", "offset": offset, "name": folder.name}
-
-
-def _report_missing(context: StageContext, folder: Path, wanted: int, found: int, offset: int) -> None:
-    """Warn about an offset and missing masks; raise if most are missing or with `--strict`."""
+    crop = crop_from_json(dict(context.results["crop"]["crop"]))
+    masks = open_user_masks(folder, files, context.options.invert_masks, crop, _source_size(context))
+    offset = find_mask_offset(numbers, files, lambda number: _image(context, number), masks.fitted)
+    pairs = {number: files[number + offset] for number in numbers if number + offset in files}
+    _require_enough(context, folder, len(numbers), len(pairs))
+    for note in (masks.levels.note, masks.size_note(next(iter(pairs.values())))):
+        if note:
+            context.reporter.note(f"{folder}: {note}")
     if offset:
         context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, judging by the edges in the images")
-    if found == wanted:
-        return
-    message = f"{folder}: {wanted - found} of {wanted} frames have no mask"
+    require_credible(masks, pairs, lambda chosen: _faces(context, chosen))
+    kept, dropped = _written(context, masks, pairs)
+    dropped |= {number: NO_MASK for number in numbers if number not in pairs}
+    _report_dropped(context, f"{folder}", len(numbers), dropped)
+    return {"numbers": kept, "dropped": _listed(dropped), "kind": "files", "offset": offset, "name": folder.name}
+
+
+def _image(context: StageContext, number: int) -> np.ndarray:
+    return read_rgb(context.folder / "images" / f"{number:06d}.png")
+
+
+def _faces(context: StageContext, numbers: Sequence[int]) -> Mapping[int, np.ndarray]:
+    """The face in some frames, as far as the networks are on this machine."""
+    tracker = local_landmark_tracker(context.options.models)
+    return faces_in_some(tracker, numbers, lambda number: _image(context, number))
+
+
+def _written(context: StageContext, masks: UserMasks, pairs: Mapping[int, Path]) -> tuple[list[int], dict[int, str]]:
+    """Write the masks; the frames with a mask, and those whose mask shows nobody."""
+
+    def write(number: int) -> bool:
+        target = context.folder / "masks" / f"{number:06d}.png"
+        mask = read_gray(target) if target.exists() else masks.fitted(pairs[number])
+        if not target.exists():
+            write_png(target, mask)
+        return is_empty(mask)
+
+    kept, dropped = [], {}
+    for done, (number, empty) in enumerate(zip(pairs, ordered_map(write, pairs), strict=True), start=1):
+        if empty:
+            dropped[number] = EMPTY_MASK
+        else:
+            kept.append(number)
+        context.reporter.advance(done, len(pairs))
+    return kept, dropped
+
+
+def _listed(dropped: Mapping[int, str]) -> list[list[Any]]:
+    """Dropped frames as plain JSON values."""
+    return [[number, dropped[number]] for number in sorted(dropped)]
+
+
+def _require_enough(context: StageContext, folder: Path, wanted: int, found: int) -> None:
+    """Raise if most frames have no mask."""
     if found < 2 or found < wanted // 2:
-        raise InputError(f"{message}; expected one PNG or JPEG file per frame with the frame number in its name")
+        raise InputError(
+            f"{folder}: {wanted - found} of {wanted} frames have no mask; expected one PNG or JPEG file per frame with "
+            "the frame number in its name"
+        )
+
+
+def _report_dropped(context: StageContext, source: str, wanted: int, dropped: Mapping[int, str]) -> None:
+    """Warn about frames without a mask; raise if only they are left, or with `--strict`."""
+    if not dropped:
+        return
+    counts = Counter(dropped.values())
+    message = f"{source}: " + " and ".join(
+        f"{counts[reason]} of {wanted} frames have {words}"
+        for reason, words in ((NO_MASK, "no mask"), (EMPTY_MASK, "an empty mask"))
+        if counts[reason]
+    )
+    if wanted - len(dropped) < 2:
+        raise InputError(f"{message}; expected at least two frames that show the person, so record or mask more")
     if context.options.strict:
         raise GateError(f"{message} (--strict)")
     context.reporter.warn(f"{message} and are left out")
 
 
-def fitted_mask(path: Path, crop: Crop, source_size: tuple[int, int]) -> np.ndarray:
-    """A mask at the capture's size: cropped like the images if it has the source's size, else taken as it is.
-
-    Raises:
-        InputError: The mask has neither the source's size nor the capture's.
-    """
-    header = image_header(path)
-    found = (header.width, header.height)
-    if found == source_size:
-        return crop.image(read_gray(path))
-    if found == (crop.out_width, crop.out_height):
-        return read_gray(path)
-    raise InputError(
-        f"{path}: expected {source_size[0]}×{source_size[1]} px like the video or "
-        f"{crop.out_width}×{crop.out_height} px like the capture, "
-        f"found {found[0]}×{found[1]}"
-    )
-
-
 def _source_size(context: StageContext) -> tuple[int, int]:
     return int(context.results["frames"]["width"]), int(context.results["frames"]["height"])
+
+
+def _alpha_masks(context: StageContext) -> Mapping[str, Any]:
+    """Masks from the source's alpha channel."""
+    source, numbers = str(context.options.input), list(context.results["frames"]["numbers"])
+    context.reporter.note(f"{source}: its alpha channel is used as masks; --masks selfie computes them instead")
+    kept, dropped = [], {}
+    for done, (number, mask) in enumerate(alpha_masks(context), start=1):
+        if is_empty(mask):
+            dropped[number] = EMPTY_MASK
+        else:
+            kept.append(number)
+        context.reporter.advance(done, len(numbers))
+    _report_dropped(context, source, len(numbers), dropped)
+    return {"numbers": kept, "dropped": _listed(dropped), "kind": ALPHA, "offset": 0, "name": ALPHA}
 
 
 def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
@@ -109,12 +168,20 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     names = [f"{number:06d}.png" for number in numbers]
     masks = matting.masks(ordered_map(lambda name: read_rgb(context.folder / "images" / name), names))
 
-    def write(each: tuple[str, np.ndarray]) -> None:
+    def write(each: tuple[str, np.ndarray]) -> bool:
         write_png(context.folder / "masks" / each[0], each[1])
+        return is_empty(each[1])
 
-    for done, _ in enumerate(ordered_map(write, zip(names, masks, strict=True)), start=1):
+    empty = []
+    for done, (number, nobody) in enumerate(
+        zip(numbers, ordered_map(write, zip(names, masks, strict=True)), strict=True), start=1
+    ):
+        empty += [number] if nobody else []
         context.reporter.advance(done, len(numbers))
-    return {"numbers": numbers, "kind": matting.name, "offset": 0, "name": matting.name}
+    dropped = dict.fromkeys(empty, EMPTY_MASK)
+    _report_dropped(context, str(context.options.input), len(numbers), dropped)
+    kept = [number for number in numbers if number not in dropped]
+    return {"numbers": kept, "dropped": _listed(dropped), "kind": matting.name, "offset": 0, "name": matting.name}
 
 
-STAGE = Stage("masks", "Masks", inputs, run, outputs=("masks",))
+STAGE = Stage("masks", "Masks", inputs, run, outputs=("masks",), version=3)

@@ -52,15 +52,11 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
 
 def _dropped(numbers: tuple[int, ...], context: StageContext) -> tuple[dict[str, Any], ...]:
-    """Dropped frames with the reason."""
-    masked, tracked = set(context.results["masks"]["numbers"]), set(context.results["tracking"]["numbers"])
-    lost = []
-    for number in numbers:
-        if number not in masked:
-            lost.append({"frame": number, "reason": "no mask"})
-        elif number not in tracked:
-            lost.append({"frame": number, "reason": "no tracking"})
-    return tuple(lost)
+    """Dropped frames with the reason that the first stage to drop them gave."""
+    tracked = set(context.results["tracking"]["numbers"])
+    reasons = dict(context.results["masks"]["dropped"])
+    lost = [number for number in numbers if number not in tracked]
+    return tuple({"frame": number, "reason": reasons.get(number, "no tracking")} for number in lost)
 
 
 def _provenance(context: StageContext) -> dict[str, Any]:
@@ -81,6 +77,7 @@ def _provenance(context: StageContext) -> dict[str, Any]:
         "masks": masks["name"],
         "tracking": {key: value for key, value in tracking["report"].items() if key != "warnings"},
         "losses": source["losses"],
+        "conversions": source["conversions"],
         "tool": f"ggavatar {tool}",
     }
 

@@ -51,10 +51,12 @@ def run(context: StageContext) -> Mapping[str, Any]:
     numbers: list[int] = []
     times: list[float] = []
     faces: list[np.ndarray | None] = []
+    alpha = _AlphaSample()
     size = (0, 0)
     for frame in selection.keep(source.frames()):
         if detect is not None and frame.time >= len(faces) * FACE_DETECTION_INTERVAL:
             faces.append(detect(frame))
+        alpha.look(frame)
         numbers.append(frame.number)
         times.append(frame.time)
         size = (frame.width, frame.height)
@@ -64,6 +66,8 @@ def run(context: StageContext) -> Mapping[str, Any]:
         if options.strict:
             raise GateError(f"{options.input}: {error} (--strict)")
         context.reporter.warn(f"{options.input}: {error}; the frames before are kept")
+    for conversion in source.conversions():
+        context.reporter.note(f"{options.input}: {conversion}")
     return {
         "name": options.input.name,
         "sha256": _digest(options.input),
@@ -74,6 +78,8 @@ def run(context: StageContext) -> Mapping[str, Any]:
         "faces": [list(map(float, face)) for face in faces if face is not None],
         "faces_looked_for": len(faces),
         "losses": source.decode_errors(),
+        "conversions": source.conversions(),
+        "alpha": alpha.separates,
     }
 
 
@@ -87,6 +93,27 @@ def _check_count(options: PrepOptions, count: int) -> None:
         raise InputError(
             f"{options.input}: expected a video with several hundred frames of a moving face, found only one frame"
         )
+
+
+class _AlphaSample:
+    """Whether an alpha channel shows something and hides something, judged by two frames a second."""
+
+    def __init__(self) -> None:
+        self._due = 0.0
+        self._least, self._most = 255, 0
+
+    def look(self, frame: DecodedFrame) -> None:
+        """Take a frame into account, if its turn has come."""
+        if frame.alpha is None or frame.time < self._due:
+            return
+        self._due = frame.time + FACE_DETECTION_INTERVAL
+        alpha = frame.alpha()
+        self._least, self._most = min(self._least, int(alpha.min())), max(self._most, int(alpha.max()))
+
+    @property
+    def separates(self) -> bool:
+        """Whether there are both clearly transparent and clearly opaque pixels."""
+        return self._least < 64 and self._most > 192
 
 
 def _face_finder(options: PrepOptions) -> Any:
@@ -117,4 +144,4 @@ def _digest(path: Path) -> str:
     return total.hexdigest()
 
 
-STAGE = Stage("frames", "Reading the video", inputs, run)
+STAGE = Stage("frames", "Reading the video", inputs, run, version=2)

@@ -28,6 +28,10 @@ class Reporter(Protocol):
         """Report something the user should know; it is repeated in the summary."""
         ...
 
+    def note(self, message: str) -> None:
+        """Report an assumption that was made; it is repeated in the summary."""
+        ...
+
 
 @dataclass(frozen=True)
 class StageContext:

@@ -16,9 +16,10 @@ class DecodedFrame(NamedTuple):
     Attributes:
         number: Source frame number, from 0 in videos; the number in the file name in image folders.
         time: Time since the first frame, s.
-        width: Width of the upright image, px.
-        height: Height of the upright image, px.
+        width: Width of the upright image with square pixels, px.
+        height: Height of that image, px.
         load: Converts the pixels; call it before advancing to the next frame.
+        alpha: The same for the alpha channel; None if the frame has none.
     """
 
     number: int
@@ -26,6 +27,7 @@ class DecodedFrame(NamedTuple):
     width: int
     height: int
     load: Callable[[], UInt8[np.ndarray, "H W 3"]]
+    alpha: Callable[[], UInt8[np.ndarray, "H W"]] | None = None
 
     @property
     def image(self) -> UInt8[np.ndarray, "H W 3"]:
@@ -45,4 +47,8 @@ class FrameSource(Protocol):
 
     def decode_errors(self) -> list[str]:
         """Descriptions of what could not be decoded; complete once `frames` is exhausted."""
+        ...
+
+    def conversions(self) -> list[str]:
+        """What was found and done to bring frames to upright 8-bit sRGB; complete once `frames` is exhausted."""
         ...

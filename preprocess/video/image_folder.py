@@ -8,7 +8,8 @@ from functools import partial
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.io.images import image_header, read_rgb
+from ggavatar.io.images import read_gray, read_rgb
+from ggavatar.io.picture_decoding import picture_kind
 from preprocess.video.frame import DecodedFrame
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
@@ -24,6 +25,7 @@ class ImageFolder:
     def __init__(self, path: Path, fps: float) -> None:
         self.path = path
         self._fps = fps
+        self._conversions: dict[str, None] = {}
         self._files = numbered_images(path)
         if not self._files:
             raise InputError(
@@ -37,17 +39,25 @@ class ImageFolder:
             InputError: The images differ in size.
         """
         size: tuple[int, int] | None = None
+        self._conversions = {}
         for row, (number, path) in enumerate(self._files.items()):
-            header = image_header(path)
+            kind = picture_kind(path)
+            header = kind.header
+            self._conversions |= dict.fromkeys(kind.notes)
             size = size or (header.width, header.height)
             if (header.width, header.height) != size:
                 found = f"{header.width}×{header.height}"
                 raise InputError(f"{path}: expected {size[0]}×{size[1]} px like the first image, found {found}")
-            yield DecodedFrame(number, row / self._fps, header.width, header.height, partial(read_rgb, path))
+            alpha = partial(read_gray, path) if kind.has_alpha else None
+            yield DecodedFrame(number, row / self._fps, header.width, header.height, partial(read_rgb, path), alpha)
 
     def decode_errors(self) -> list[str]:
         """Empty: an image that cannot be read raises an error instead."""
         return []
+
+    def conversions(self) -> list[str]:
+        """What is done to bring the images to upright 8-bit sRGB; complete once `frames` is exhausted."""
+        return list(self._conversions)
 
 
 def numbered_images(folder: Path) -> dict[int, Path]:

@@ -48,6 +48,8 @@ class Selection:
             if self.fps is None or early >= due:
                 due = (math.floor(early * self.fps) + 1) / self.fps if self.fps else due
                 yield frame
+            if stop is not None and frame.number == stop - 1:
+                return
 
 
 def parse_selection(fps: float | None, start: float, end: float | None, frames: str) -> Selection:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from evaluate.protocols.protocol import protocol_by_name
+from evaluate.scoring.frame_pairs import FramePair, require_equal_sizes
 from evaluate.scoring.image_decoding import read_scored, read_weights
+from evaluate.scoring.score import score_pair
 from ggavatar.errors import InputError
+from ggavatar.pictures.color import conversion_to_srgb, tagged_color_space
 from tests.support.image_pairs import pair, write
+from tests.support.pictures import display_p3_profile, exif_block, with_png_chunk
 
 
 def test_8_bit_rgb_is_read_as_it_is(tmp_path: Path) -> None:
@@ -82,3 +88,52 @@ def test_weights_are_the_alpha_channel_or_the_gray_value(tmp_path: Path) -> None
         weights, sha256 = read_weights(tmp_path / f"{name}.png")
         np.testing.assert_allclose(weights, [[0, 0.2], [1, 0.4]], atol=1e-6)
         assert len(sha256) == 64
+
+
+@pytest.mark.parametrize("value", range(1, 9))
+def test_a_turned_ground_truth_scores_as_the_upright_one(tmp_path: Path, value: int) -> None:
+    """The same pixels, stored as EXIF allows: ground truth, prediction and mask. Reference: stored upright."""
+    truth, prediction = (image[:48, :64] for image in pair())
+    mask = np.zeros(truth.shape[:2], np.uint8)
+    mask[10:30, 5:50] = 255
+    protocol = protocol_by_name("paper-v1")
+    scores = []
+    for name, kind in (("upright", 1), ("turned", value)):
+        files = {}
+        for role, image in (("truth", truth), ("prediction", prediction), ("mask", mask)):
+            files[role] = tmp_path / f"{name}_{role}.png"
+            write(files[role], stored_turned(image, kind))
+            files[role].write_bytes(with_png_chunk(files[role].read_bytes(), b"eXIf", exif_block(kind)))
+        one = FramePair(0, files["prediction"], files["truth"], {"foreground": files["mask"]})
+        require_equal_sizes(one)
+        scores.append(score_pair(one, protocol))
+    assert scores[0].values == scores[1].values and scores[0].values["psnr"] < 60
+    assert scores[0].notes == () and (scores[1].notes == ()) == (value == 1)
+    np.testing.assert_array_equal(scores[1].foreground, mask // 255)
+
+
+def stored_turned(upright: np.ndarray, kind: int) -> np.ndarray:
+    """What must be stored so that EXIF's value `kind` shows `upright` (CIPA DC-008: where row 0 and column 0 lie)."""
+    stored = {
+        1: upright,
+        2: upright[:, ::-1],
+        3: upright[::-1, ::-1],
+        4: upright[::-1],
+        5: upright.swapaxes(0, 1),
+        6: np.rot90(upright),
+        7: upright[::-1, ::-1].swapaxes(0, 1),
+        8: np.rot90(upright, -1),
+    }[kind]
+    return np.ascontiguousarray(stored)
+
+
+def test_display_p3_is_scored_in_srgb(tmp_path: Path) -> None:
+    truth, _ = pair()
+    write(tmp_path / "a.png", truth)
+    profile = b"p3\0\0" + zlib.compress(display_p3_profile())
+    (tmp_path / "a.png").write_bytes(with_png_chunk((tmp_path / "a.png").read_bytes(), b"iCCP", profile))
+    found = read_scored(tmp_path / "a.png", None)
+    expected = conversion_to_srgb(tagged_color_space(12, 13))
+    assert expected is not None
+    assert np.abs(found.pixels.astype(int) - expected.apply(truth)).max() <= 2
+    assert "Display P3" in found.notes[0]
