@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ggavatar.landmarks.networks import FaceNetworkFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
-from ggavatar.pretrained.catalogue import ModelUnavailable, resolve_with_substitutes
+from ggavatar.pretrained.resolve import ModelUnavailable, resolve_with_substitutes
 
 GIVE_UP_AFTER = 3
 """Images without a face after which a clip is taken to show none that the network can see; searching them is slow."""
