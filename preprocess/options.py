@@ -51,6 +51,9 @@ class PrepOptions:
     invert_masks: bool = False
     """The masks in the `--masks` folder are white where the person is not."""
 
+    camera: int | None = None
+    """Camera to use where the names of images and masks tell several apart (00012_03.png); the first if not given."""
+
     size: int = 512
     """Longer side of the capture's images, px."""
 

@@ -35,7 +35,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
         if options.invert_masks:
             raise InputError(f"--invert-masks is for a folder of masks, found --masks {options.masks}; leave it out")
         return {"masks": options.masks}
-    return {"masks": file_state(Path(options.masks)), "inverted": options.invert_masks}
+    return {"masks": file_state(Path(options.masks)), "inverted": options.invert_masks, "camera": options.camera}
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
@@ -51,11 +51,8 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
     """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers, files = list(context.results["frames"]["numbers"]), numbered_images(folder)
-    if not files:
-        raise InputError(
-            f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
-        )
+    numbers = list(context.results["frames"]["numbers"])
+    files = _mask_files(context, folder, numbers)
     crop = crop_from_json(dict(context.results["crop"]["crop"]))
     masks = open_user_masks(folder, files, context.options.invert_masks, crop, _source_size(context))
     offset = find_mask_offset(numbers, files, lambda number: _image(context, number), masks.fitted)
@@ -71,6 +68,25 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
     dropped |= {number: NO_MASK for number in numbers if number not in pairs}
     _report_dropped(context, f"{folder}", len(numbers), dropped)
     return {"numbers": kept, "dropped": _listed(dropped), "kind": "files", "offset": offset, "name": folder.name}
+
+
+def _mask_files(context: StageContext, folder: Path, numbers: Sequence[int]) -> Mapping[int, Path]:
+    """The mask files by their own numbers; by position only if every frame has one."""
+    found = numbered_images(folder, context.options.camera)
+    if not found.files:
+        raise InputError(
+            f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
+        )
+    for note in found.notes:
+        context.reporter.note(note)
+    if not found.by_position:
+        return found.files
+    if len(found.files) != len(numbers):
+        raise InputError(
+            f"{folder}: no numbers in the names of the {len(found.files)} masks, so it cannot be told which of the "
+            f"{len(numbers)} frames they belong to; rename them to the frames' numbers, such as {numbers[0]:06d}.png"
+        )
+    return dict(zip(numbers, found.files.values(), strict=True))
 
 
 def _image(context: StageContext, number: int) -> np.ndarray:

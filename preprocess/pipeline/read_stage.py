@@ -13,7 +13,8 @@ from ggavatar.errors import GateError, InputError
 from ggavatar.io.digests import sha256_of
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage, StageContext, file_state
-from preprocess.video.frame import DecodedFrame
+from preprocess.video.frame import DecodedFrame, FrameSource
+from preprocess.video.image_folder import ImageFolder
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source
 
@@ -24,12 +25,22 @@ FACE_DETECTION_INTERVAL = 0.5
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
     """The source, the selection, and whether faces are detected."""
     selection = (options.fps, options.start, options.end, options.frames)
-    return {"input": file_state(options.input), "selection": selection, "faces": needs_faces(options)}
+    return {
+        "input": file_state(options.input),
+        "camera": options.camera if options.input.is_dir() else None,
+        "selection": selection,
+        "faces": needs_faces(options),
+    }
 
 
 def needs_faces(options: PrepOptions) -> bool:
     """Whether the crop depends on detected faces; with imported tracking it depends on that instead."""
     return options.tracking is None and options.crop == "auto"
+
+
+def open_input(options: PrepOptions) -> FrameSource:
+    """The video or the folder of images."""
+    return open_source(options.input, options.fps, options.camera)
 
 
 def selection_of(options: PrepOptions) -> Selection:
@@ -46,7 +57,10 @@ def run(context: StageContext) -> Mapping[str, Any]:
         GateError: Frames were lost, with `--strict`.
     """
     options = context.options
-    source, selection = open_source(options.input, options.fps), selection_of(options)
+    source, selection = open_input(options), selection_of(options)
+    if isinstance(source, ImageFolder):
+        for note in source.notes:
+            context.reporter.note(note)
     detect = _face_finder(options) if needs_faces(options) else None
     numbers: list[int] = []
     times: list[float] = []
@@ -117,4 +131,4 @@ def _digest(path: Path) -> str:
     return total.hexdigest()
 
 
-STAGE = Stage("frames", "Reading the video", inputs, run)
+STAGE = Stage("frames", "Reading the video", inputs, run, version=2)
