@@ -12,10 +12,10 @@ import numpy as np
 from ggavatar.errors import GateError, InputError
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.evidence.faces import faces_in_some, local_landmark_tracker
 from preprocess.masks.checks import is_empty
 from preprocess.masks.user_masks import UserMasks, open_user_masks, require_credible
 from preprocess.options import PrepOptions
+from preprocess.pipeline.face_stage import faces_by_frame
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
@@ -51,7 +51,7 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
     """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers = list(context.results["frames"]["numbers"])
+    numbers = list(context.results["faces"]["numbers"])
     files = _mask_files(context, folder, numbers)
     crop = crop_from_json(dict(context.results["crop"]["crop"]))
     masks = open_user_masks(folder, files, context.options.invert_masks, crop, _source_size(context))
@@ -63,7 +63,7 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
             context.reporter.note(f"{folder}: {note}")
     if offset:
         context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, judging by the edges in the images")
-    require_credible(masks, pairs, lambda chosen: _faces(context, chosen))
+    require_credible(masks, pairs, faces_by_frame(context))
     kept, dropped = _written(context, masks, pairs)
     dropped |= {number: NO_MASK for number in numbers if number not in pairs}
     _report_dropped(context, f"{folder}", len(numbers), dropped)
@@ -91,12 +91,6 @@ def _mask_files(context: StageContext, folder: Path, numbers: Sequence[int]) -> 
 
 def _image(context: StageContext, number: int) -> np.ndarray:
     return read_rgb(context.folder / "images" / f"{number:06d}.png")
-
-
-def _faces(context: StageContext, numbers: Sequence[int]) -> Mapping[int, np.ndarray]:
-    """The face in some frames, as far as the networks are on this machine."""
-    tracker = local_landmark_tracker(context.options.models)
-    return faces_in_some(tracker, numbers, lambda number: _image(context, number))
 
 
 def _written(context: StageContext, masks: UserMasks, pairs: Mapping[int, Path]) -> tuple[list[int], dict[int, str]]:
@@ -158,7 +152,7 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     """Masks from a network or GrabCut, frame by frame."""
     from preprocess.masks.matting import open_matting
 
-    numbers = list(context.results["frames"]["numbers"])
+    numbers = list(context.results["faces"]["numbers"])
     matting = open_matting(wanted, context.options.models, context.options.offline)
     for warning in matting.warnings:
         context.reporter.warn(warning)
