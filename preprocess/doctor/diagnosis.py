@@ -27,6 +27,7 @@ from preprocess.doctor.conventions import AS_IS, AXES, EYES, FIXES, OTHERS
 from preprocess.doctor.frame_offset import find_offset
 from preprocess.doctor.letterbox import black_bars, crop_flags
 from preprocess.doctor.mask_check import FLAGS, check_masks, lies_on_faces, sampled_faces
+from preprocess.evidence.repeats import frozen_runs, kind_of_repeats, rate_without_repeats
 from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
@@ -259,13 +260,23 @@ def _image_quality(
         message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a shorter exposure"
         findings.append(Finding("blur", "warning", message))
     if len(measures["repeated"]) > 0.05 * count:
-        message = (
-            f"{len(measures['repeated'])} of {count} frames repeat the one before; "
-            "the video was converted from a lower frame rate"
-        )
-        rate = capture.fps * (1 - len(measures["repeated"]) / count)
-        findings.append(Finding("repeated", "warning", message, f"--fps {rate:.0f}"))
+        findings.append(_repeats(capture, measures["repeated"]))
     return findings + (_bars(capture, measures) if masks_are_credible else [])
+
+
+def _repeats(capture: Capture, repeated: Sequence[int]) -> Finding:
+    """Frames that repeat the one before, with the probable cause."""
+    flags = np.isin(capture.frames, repeated)
+    kind, message = kind_of_repeats(flags), f"{len(repeated)} of {len(flags)} frames repeat the one before"
+    if kind == "rate":
+        rate = rate_without_repeats(capture.fps, flags)
+        message += f", evenly: the video was converted from a lower frame rate, about {rate:.4g} per second"
+    elif kind == "frozen":
+        stills = [f"{capture.frames[first]}–{capture.frames[last]}" for first, last in frozen_runs(flags)]
+        message += f": the picture is frozen in frames {', '.join(stills[:6])}{', …' if len(stills) > 6 else ''}"
+    else:
+        message += " here and there: the recording doubled frames, or nothing moved"
+    return Finding("frozen" if kind == "frozen" else "repeated", "warning", message, "--resume --drop-repeated")
 
 
 def _bars(capture: Capture, measures: dict[str, Any]) -> list[Finding]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ggavatar.io.npz import read_npz, write_npz
 from ggavatar.landmarks.tracker import Landmarks
 
 
@@ -42,16 +40,6 @@ class ClipFaces:
         """Some frames."""
         index = np.asarray(rows, dtype=np.int64)
         return ClipFaces(self.points[index], self.depth[index], self.blendshapes[index])
-
-    def write(self, path: Path) -> None:
-        """Store as npz."""
-        write_npz(path, {"points": self.points, "depth": self.depth, "blendshapes": self.blendshapes})
-
-
-def read_clip_faces(path: Path) -> ClipFaces:
-    """What `ClipFaces.write` stored; `InputError` if it is damaged."""
-    arrays = read_npz(path, ("points", "depth", "blendshapes"))
-    return ClipFaces(arrays["points"], arrays["depth"], arrays["blendshapes"])
 
 
 def stack_faces(faces: Sequence[Landmarks | None]) -> ClipFaces:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from ggavatar.io.npz import read_npz, write_npz
 from ggavatar.io.ordered_map import ordered_map
 from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from preprocess.evidence.blank import blank_frames, faded_frames, thumbnail
@@ -45,6 +47,12 @@ class Survey:
     looked: Bool[np.ndarray, " T"]
     repeated: Bool[np.ndarray, " T"]
 
+    def write(self, path: Path) -> None:
+        """Store as npz."""
+        faces = {"points": self.faces.points, "depth": self.faces.depth, "blendshapes": self.faces.blendshapes}
+        rest = {"thumbnails": self.thumbnails, "looked": self.looked, "repeated": self.repeated}
+        write_npz(path, faces | rest)
+
     @cached_property
     def blank(self) -> Bool[np.ndarray, " T"]:
         """Frames of a single color."""
@@ -78,6 +86,13 @@ class Survey:
     def repeats(self) -> dict[int, str]:
         """The frames that repeat the one before, by position."""
         return {int(row): REPEATED for row in np.flatnonzero(self.repeated)}
+
+
+def read_survey(path: Path) -> Survey:
+    """What `Survey.write` stored; `InputError` if it is damaged."""
+    found = read_npz(path, ("points", "depth", "blendshapes", "thumbnails", "looked", "repeated"))
+    faces = ClipFaces(found["points"], found["depth"], found["blendshapes"])
+    return Survey(found["thumbnails"], faces, found["looked"], found["repeated"])
 
 
 def survey(

@@ -1,4 +1,4 @@
-"""Third stage: a soft foreground mask for every image, from the user's files, a network or GrabCut."""
+"""Fifth stage: a soft foreground mask for every image, from the user's files, a network or GrabCut."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ggavatar.io.ordered_map import ordered_map
 from preprocess.masks.checks import is_empty
 from preprocess.masks.user_masks import UserMasks, open_user_masks, require_credible
 from preprocess.options import PrepOptions
-from preprocess.pipeline.face_stage import faces_by_frame
+from preprocess.pipeline.evidence_stage import faces_by_frame
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
@@ -51,7 +51,7 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
     """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers = list(context.results["faces"]["numbers"])
+    numbers = list(context.results["evidence"]["numbers"])
     files = _mask_files(context, folder, numbers)
     crop = crop_from_json(dict(context.results["crop"]["crop"]))
     masks = open_user_masks(folder, files, context.options.invert_masks, crop, _source_size(context))
@@ -65,6 +65,8 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
         context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, judging by the edges in the images")
     require_credible(masks, pairs, faces_by_frame(context))
     kept, dropped = _written(context, masks, pairs)
+    if context.options.keep_faceless:
+        kept, dropped = list(pairs), {}
     dropped |= {number: NO_MASK for number in numbers if number not in pairs}
     _report_dropped(context, f"{folder}", len(numbers), dropped)
     return {"numbers": kept, "dropped": _listed(dropped), "kind": "files", "offset": offset, "name": folder.name}
@@ -152,7 +154,7 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     """Masks from a network or GrabCut, frame by frame."""
     from preprocess.masks.matting import open_matting
 
-    numbers = list(context.results["faces"]["numbers"])
+    numbers = list(context.results["evidence"]["numbers"])
     matting = open_matting(wanted, context.options.models, context.options.offline)
     for warning in matting.warnings:
         context.reporter.warn(warning)
@@ -169,7 +171,7 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     ):
         empty += [number] if nobody else []
         context.reporter.advance(done, len(numbers))
-    dropped = dict.fromkeys(empty, EMPTY_MASK)
+    dropped = {} if context.options.keep_faceless else dict.fromkeys(empty, EMPTY_MASK)
     _report_dropped(context, str(context.options.input), len(numbers), dropped)
     kept = [number for number in numbers if number not in dropped]
     return {"numbers": kept, "dropped": _listed(dropped), "kind": matting.name, "offset": 0, "name": matting.name}

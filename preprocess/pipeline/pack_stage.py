@@ -1,4 +1,4 @@
-"""Fifth stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
+"""Seventh stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         subject=context.options.subject or context.options.input.stem,
         width=crop["out_width"],
         height=crop["out_height"],
-        fps=source["fps"],
+        fps=context.results["evidence"]["fps"],
         frames=frames,
         splits={split_name(rule): split_frames(frames, rule) for rule in rules},
         tracking=Tracking(**read_tracking(context.folder / TRACKING)),
@@ -76,7 +76,7 @@ def restore_dropped(folder: Path) -> None:
 def _dropped(numbers: tuple[int, ...], context: StageContext) -> tuple[dict[str, Any], ...]:
     """Dropped frames with the reason that the first stage to drop them gave."""
     tracked = set(context.results["tracking"]["numbers"])
-    reasons = dict(context.results["masks"]["dropped"]) | dict(context.results["faces"]["dropped"])
+    reasons = dict(context.results["masks"]["dropped"]) | dict(context.results["evidence"]["dropped"])
     lost = [number for number in numbers if number not in tracked]
     return tuple({"frame": number, "reason": reasons.get(number, "no tracking")} for number in lost)
 

@@ -11,7 +11,16 @@ from typing import Any
 from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
 from preprocess.options import PrepOptions
-from preprocess.pipeline import crop_stage, doctor_stage, face_stage, mask_stage, pack_stage, read_stage, tracking_stage
+from preprocess.pipeline import (
+    crop_stage,
+    doctor_stage,
+    evidence_stage,
+    face_stage,
+    mask_stage,
+    pack_stage,
+    read_stage,
+    tracking_stage,
+)
 from preprocess.pipeline.stage import (
     RECORDS,
     Reporter,
@@ -27,6 +36,7 @@ STAGES = (
     read_stage.STAGE,
     crop_stage.STAGE,
     face_stage.STAGE,
+    evidence_stage.STAGE,
     mask_stage.STAGE,
     tracking_stage.STAGE,
     pack_stage.STAGE,

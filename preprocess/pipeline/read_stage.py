@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ggavatar.errors import GateError, InputError
 from ggavatar.io.digests import sha256_of
+from ggavatar.landmarks.detector import FaceBox
+from preprocess.evidence.people import describe_others, follow_one
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.frame import DecodedFrame, FrameSource
@@ -18,6 +18,8 @@ from preprocess.video.image_folder import ImageFolder
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source
 
+MINIMUM_FRAMES = 8
+"""Fewest frames that the built-in tracker works with."""
 FACE_DETECTION_INTERVAL = 0.5
 """Time between two face detections, s."""
 
@@ -64,7 +66,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     detect = _face_finder(options) if needs_faces(options) else None
     numbers: list[int] = []
     times: list[float] = []
-    faces: list[np.ndarray | None] = []
+    faces: list[list[FaceBox]] = []
     size = (0, 0)
     for frame in selection.keep(source.frames()):
         if detect is not None and frame.time >= len(faces) * FACE_DETECTION_INTERVAL:
@@ -74,6 +76,9 @@ def run(context: StageContext) -> Mapping[str, Any]:
         size = (frame.width, frame.height)
         context.reporter.advance(len(numbers), None)
     _check_count(options, len(numbers))
+    followed, others = follow_one(faces)
+    if others:
+        context.reporter.note(describe_others(followed, others, len(faces), size))
     for error in source.decode_errors():
         if options.strict:
             raise GateError(f"{options.input}: {error} (--strict)")
@@ -85,7 +90,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         "height": size[1],
         "fps": (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 25.0,
         "numbers": numbers,
-        "faces": [list(map(float, face)) for face in faces if face is not None],
+        "faces": [list(face.corners) for face in followed],
         "faces_looked_for": len(faces),
         "losses": source.decode_errors(),
     }
@@ -101,21 +106,25 @@ def _check_count(options: PrepOptions, count: int) -> None:
         raise InputError(
             f"{options.input}: expected a video with several hundred frames of a moving face, found only one frame"
         )
+    if options.tracking is None and count < MINIMUM_FRAMES:
+        raise InputError(
+            f"{options.input}: too few frames: expected at least {MINIMUM_FRAMES}, and several hundred for a good "
+            f"avatar, found {count}; record longer, or check --fps, --start, --end and --frames"
+        )
 
 
 def _face_finder(options: PrepOptions) -> Any:
-    """A function that gives the face box (left, top, right, bottom; px) of a frame, or None."""
+    """A function that gives all faces of a frame."""
     from ggavatar.landmarks.detector import FaceDetector
     from ggavatar.pretrained.catalogue import resolve_with_substitutes
 
     detector = FaceDetector(resolve_with_substitutes("face_landmarker", options.models, options.offline)[0])
 
-    def find(frame: DecodedFrame) -> np.ndarray | None:
-        face = detector.detect(frame.image)
-        if face is None:
-            return None
-        center, half = np.array(face.center), face.side / 2
-        return np.concatenate((center - half, center + half))
+    def find(frame: DecodedFrame) -> list[FaceBox]:
+        image = frame.image
+        faces = detector.detect_all(image)
+        small = None if faces else detector.detect(image)
+        return faces if small is None else [small]
 
     return find
 
