@@ -68,7 +68,8 @@ def frame_numbers(names: Sequence[str], source: object, camera: int | None = Non
     if not rows:
         return FrameNumbers((None,) * len(names))
     frame, other = _choose_columns(columns, [names[row] for row in rows], source)
-    values, cameras, chosen = columns.values[:, frame], (), np.ones(len(rows), bool)
+    values, chosen = columns.values[:, frame], np.ones(len(rows), bool)
+    cameras: tuple[int, ...] = ()
     if other is not None:
         cameras = tuple(int(value) for value in np.unique(columns.values[:, other]))
         wanted = cameras[0] if camera is None else camera

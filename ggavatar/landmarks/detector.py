@@ -117,7 +117,8 @@ class FaceDetector:
         center, half = self._anchors[likely] + offsets[likely, :2], offsets[likely, 2:4] / 2
         boxes = np.concatenate((center - half, center + half), axis=1)
         eyes = offsets[likely, 4:8].reshape(-1, 2, 2) + self._anchors[likely, None]
-        left, found = scores[likely].copy(), []
+        left = scores[likely].copy()
+        found: list[tuple[float, np.ndarray, np.ndarray]] = []
         while len(found) < MAXIMUM_FACES and left.max(initial=0.0) > 0:
             top = int(np.argmax(left))
             weights = left * (_overlap(boxes[top], boxes) > MINIMUM_OVERLAP)

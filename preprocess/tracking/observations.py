@@ -59,8 +59,9 @@ def observe(
     Raises:
         InputError: A face was found in fewer than `MINIMUM_FRAMES_WITH_FACE` frames.
     """
-    torso, points, scores, texture, kept, distances, skin = TorsoTracker(), [], [], [], [], [], []
+    torso, points, scores, texture, distances, skin = TorsoTracker(), [], [], [], [], []
     kept_rows: list[int] = []
+    kept: list[np.ndarray] = []
     rows, size = outline_frames(len(images)), (0, 0)
     frames = ordered_map(lambda index: (images[index], masks[index]), range(len(images)))
     for index, (image, mask) in enumerate(frames):
