@@ -147,7 +147,7 @@ def made_up(*stretches):
 
 def test_another_person_is_refused_and_the_advice_keeps_one(tmp_path):
     found = made_up((1, 20), (2, 30))
-    with pytest.raises(InputError, match="another person from frame 120 on; .* --resume --cut auto"):
+    with pytest.raises(InputError, match=r"another person from frame 120 on; .* --resume --cut auto"):
         choose(tmp_path, found)
     result, notes = choose(tmp_path, found, cut="auto")
     assert result["numbers"] == list(range(120, 150)) and result["dropped"][0] == [100, "another part of the clip"]
