@@ -13,13 +13,11 @@ THUMBNAIL = 32
 MAX_BLANK_CONTRAST = 4.0
 """Standard deviation within a thumbnail, in 8-bit levels, up to which a frame shows nothing."""
 FADED = 0.9
-"""Contrast, relative to that after the fade, below which a frame counts as faded."""
-MIN_FADE = 0.6
-"""Relative contrast that a fade must begin below, unless it begins at a blank frame."""
+"""Contrast, relative to the usual one, below which a frame counts as faded."""
+MIN_FADE, MIN_FADE_AFTER_BLANK = 0.6, 0.8
+"""Relative contrast that a fade must begin below, at the ends of a clip and beside blank frames."""
 LONGEST_FADE = 90
 """Longest fade that is looked for, frames."""
-STEADY, STEADY_CHANGE = 5, 0.02
-"""A fade is over where the contrast changes by less than this in so many frames."""
 MIN_CORRELATION = 0.8
 """Correlation with the frame after the fade; during a fade the scene stays the same."""
 
@@ -62,24 +60,15 @@ def runs(flags: Bool[np.ndarray, " T"] | Sequence[bool]) -> list[tuple[int, int]
 
 
 def _fade_in(thumbnails: np.ndarray, after_blank: bool) -> int:
-    """How many of the first frames belong to a fade-in."""
-    contrast = contrasts(thumbnails[: LONGEST_FADE + STEADY + 1])
-    steady = _first_steady(contrast)
-    if steady is None or steady == 0 or not (after_blank or contrast[0] < MIN_FADE * contrast[steady]):
+    """How many of the first frames belong to a fade-in: the contrast rises in all of them, from far below the usual."""
+    contrast = contrasts(thumbnails[: 2 * LONGEST_FADE])
+    usual = float(np.median(contrast))
+    count = int(np.argmax(contrast >= FADED * usual))
+    if not 0 < count <= LONGEST_FADE or contrast[0] > (MIN_FADE_AFTER_BLANK if after_blank else MIN_FADE) * usual:
         return 0
-    rising = np.diff(contrast[: steady + 1]) > -STEADY_CHANGE * contrast[steady]
-    if not rising.all() or _correlation(thumbnails[steady - 1], thumbnails[steady]) < MIN_CORRELATION:
+    if np.diff(contrast[: count + 1]).min() <= 0:
         return 0
-    return int(np.count_nonzero(contrast[:steady] < FADED * contrast[steady]))
-
-
-def _first_steady(contrast: np.ndarray) -> int | None:
-    """The first position after which the contrast stays the same for `STEADY` frames."""
-    for place in range(len(contrast) - STEADY):
-        following = contrast[place : place + STEADY + 1]
-        if np.ptp(following) <= STEADY_CHANGE * following.max():
-            return place
-    return None
+    return count if _correlation(thumbnails[count - 1], thumbnails[count]) >= MIN_CORRELATION else 0
 
 
 def _correlation(first: np.ndarray, second: np.ndarray) -> float:

@@ -41,8 +41,8 @@ def _is_even(repeated: np.ndarray) -> bool:
         return False
     if shown.mean() >= 1.5:
         return True
-    spacing = np.diff(np.flatnonzero(repeated))
-    return bool(spacing.std() <= MAX_VARIATION * spacing.mean())
+    spacing = np.diff([first for first, _ in runs(repeated)])
+    return len(spacing) >= 3 and bool(spacing.std() <= MAX_VARIATION * spacing.mean())
 
 
 def rate_without_repeats(fps: float, repeated: Bool[np.ndarray, " T"]) -> float:

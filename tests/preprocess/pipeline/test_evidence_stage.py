@@ -14,6 +14,7 @@ import pytest
 from ggavatar.data.capture import Capture
 from ggavatar.errors import GateError, InputError
 from ggavatar.io.images import image_header, read_rgb, write_png
+from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from preprocess.cli.prep import main
 from preprocess.evidence.clip_faces import ClipFaces
 from preprocess.evidence.survey import Survey, survey
@@ -89,7 +90,7 @@ def test_keep_faceless_after_all(clip, faded, tmp_path, capsys):
 def test_frozen_frames_are_named_and_dropped_on_request(clip, tmp_path, capsys):
     images = frames(clip)
     images[9:16] = [images[8]] * 7
-    folder = written(tmp_path / "frozen", images)
+    folder = written(tmp_path / "still", images)
     assert run(clip, tmp_path / "c", folder) == 0
     output = said(capsys)
     assert "7 of 24 frames repeat the one before: the picture is frozen in frames 9–15" in output
@@ -102,10 +103,11 @@ def test_frozen_frames_are_named_and_dropped_on_request(clip, tmp_path, capsys):
 
 
 def test_a_lower_rate_is_named_and_mended(clip, tmp_path, capsys):
-    """Twelve frames, each shown twice: the clip has half the rate, and the tracking of the doubled video is paired."""
+    """Twelve frames, each shown twice: the clip has half the rate."""
     images = [image for image in frames(clip)[:12] for _ in range(2)]
     folder = written(tmp_path / "doubled", images)
-    arguments = ("--frame-offset", "0")
+    masks = [draw(clip.head, clip.record, row // 2)[1] for row in range(24)]
+    arguments = ("--frame-offset", "0", "--masks", str(written(tmp_path / "masks", masks)))
     assert run(clip, tmp_path / "c", folder, *arguments) == 0
     assert "evenly: the video was converted from a lower frame rate, about 12.5 per second" in said(capsys)
     assert run(clip, tmp_path / "c", folder, "--resume", "--drop-repeated", *arguments) == 0
@@ -179,15 +181,13 @@ def test_too_few_frames_are_named_as_that(clip, tmp_path, capsys):
     assert "too few frames: expected at least 8, and several hundred for a good avatar, found 5" in said(capsys)
 
 
-class Sighted:
-    """Landmarks that are found in frames brighter than a limit; counts how often it is asked."""
+class Sighted(LandmarkTracker):
+    """Landmarks that are found in frames darker than a limit; keeps what it is asked for."""
 
     def __init__(self):
         self.asked, self.resets = [], 0
 
     def landmarks(self, image):
-        from ggavatar.landmarks.tracker import Landmarks
-
         self.asked.append(int(image[0, 0, 0]))
         seen = image[0, 0, 0] < 200
         return Landmarks(np.ones((478, 2)), np.ones(478), np.zeros(52), 1.0) if seen else None
@@ -196,12 +196,10 @@ class Sighted:
         self.resets += 1
 
 
-def test_a_search_in_some_frames_finds_every_long_gap(monkeypatch):
+def test_a_search_in_some_frames_finds_every_long_gap():
     """Frames 20 to 39 show no face: found by looking at every eighth and around those without one."""
-    images = [np.dstack([np.full((8, 8), 210 if 20 <= row < 40 else row)] * 3).astype(np.uint8) for row in range(80)]
-    for image in images:
-        image[4:] = image[4:] // 2
-    monkeypatch.setattr("preprocess.evidence.survey.LandmarkTracker", Sighted)
+    images = np.repeat(np.random.default_rng(0).integers(0, 255, (1, 32, 32, 3), dtype=np.uint8), 80, axis=0)
+    images[:, 0, 0, 0] = [210 if 20 <= row < 40 else row for row in range(80)]
     eyes = Sighted()
     found = survey(images, lambda row: images[row], eyes, every_frame=False)
     assert [row for row, reason in found.reasons().items() if reason == "no face"] == list(range(20, 40))
