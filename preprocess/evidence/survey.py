@@ -38,7 +38,7 @@ class Survey:
     Attributes:
         thumbnails: 32 × 32 px.
         faces: Landmarks.
-        looked: Frames in which the face was looked for.
+        looked: Frames in which the face was looked for; the others lie between two that show one.
         repeated: Frames that repeat the one before.
     """
 
@@ -71,8 +71,9 @@ class Survey:
     @property
     def faces_are_reliable(self) -> bool:
         """Whether most frames with a picture show a face, so that one without is an exception."""
-        seen = self.looked & ~self.without_picture
-        return bool(seen.any() and (self.missing & seen).sum() <= (1 - MIN_FOUND) * seen.sum())
+        seen = ~self.without_picture
+        searched = bool((self.looked & seen).any())
+        return searched and bool((self.missing & seen).sum() <= (1 - MIN_FOUND) * seen.sum())
 
     def reasons(self) -> dict[int, str]:
         """Why a frame shows no person, by position."""
@@ -148,6 +149,7 @@ def _look_around_gaps(
     """Look at all frames between one with and one without a face; between two without, all are without."""
     sampled = [row for row, was in enumerate(looked) if was]
     if sum(faces[row] is not None for row in sampled) < MIN_FOUND * len(sampled):
+        looked[:] = [True] * len(looked)
         return
     for first, second in zip(sampled, [*sampled[1:], len(faces)], strict=True):
         last = second if second < len(faces) else first

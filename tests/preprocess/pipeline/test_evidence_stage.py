@@ -97,7 +97,7 @@ def test_frozen_frames_are_named_and_dropped_on_request(clip, tmp_path, capsys):
     assert "[--resume --drop-repeated]" in output and "rate" not in output
     assert run(clip, tmp_path / "c", folder, "--resume", "--drop-repeated") == 0
     output = said(capsys)
-    assert "7 left out (7 repeats the frame before)" in output and "frozen" not in output
+    assert "7 left out (7 repeats the frame before)" in output and "the picture is frozen" not in output
     capture = Capture.open(tmp_path / "c")
     assert capture.frames == (*range(9), *range(16, 24)) and capture.fps == pytest.approx(25 * 17 / 17)
 
@@ -207,6 +207,8 @@ def test_a_search_in_some_frames_finds_every_long_gap():
     everywhere = survey(images, lambda row: images[row], Sighted(), every_frame=True)
     assert everywhere.reasons() == found.reasons()
     assert survey(images, lambda row: images[row], None, every_frame=False).reasons() == {}
+    images[:60, 0, 0, 0] = 210
+    assert not survey(images, lambda row: images[row], Sighted(), every_frame=False).faces_are_reliable
 
 
 def test_faces_that_are_hardly_ever_found_are_no_evidence():
