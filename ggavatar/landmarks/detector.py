@@ -64,28 +64,28 @@ class FaceDetector:
     def detect(self, frame: UInt8[np.ndarray, "H W 3"], near: tuple[float, float] | None = None) -> FaceBox | None:
         """The best face of an RGB frame, or None.
 
-        The whole frame is searched first; if no face is found, overlapping windows are searched for a small one.
-
         Args:
             frame: The frame.
-            near: If several faces are found in the whole frame, the one nearest to this place (px) is returned; None
-                returns the most confident one.
+            near: If several faces are found, the one nearest to this place (px) is returned; None returns the most
+                prominent one.
         """
-        whole = self.detect_all(frame)
-        if whole and near is not None:
-            return min(whole, key=lambda face: np.hypot(face.center[0] - near[0], face.center[1] - near[1]))
-        found = whole[0] if whole else None
-        for fraction in WINDOW_FRACTIONS:
-            if found is not None:
-                return found
-            windows = _windows(frame.shape[1], frame.shape[0], fraction)
-            candidates = [face for window in windows for face in self._in_window(frame, window)[:1]]
-            found = max(candidates, key=lambda face: face.score * face.side, default=None)
-        return found
+        faces = self.detect_all(frame)
+        if near is not None and faces:
+            return min(faces, key=lambda face: np.hypot(face.center[0] - near[0], face.center[1] - near[1]))
+        return faces[0] if faces else None
 
     def detect_all(self, frame: UInt8[np.ndarray, "H W 3"]) -> list[FaceBox]:
-        """All faces found in the frame as a whole, the most confident one first; small ones are not searched for."""
-        return self._in_window(frame, (0, 0, frame.shape[1], frame.shape[0]))
+        """All faces of an RGB frame, the most prominent one first.
+
+        The whole frame is searched first; if no face is found, overlapping windows are searched for small ones.
+        """
+        found = self._in_window(frame, (0, 0, frame.shape[1], frame.shape[0]))
+        for fraction in WINDOW_FRACTIONS:
+            if found:
+                return found
+            windows = _windows(frame.shape[1], frame.shape[0], fraction)
+            found = _distinct([face for window in windows for face in self._in_window(frame, window)])
+        return found
 
     def _in_window(self, frame: np.ndarray, window: tuple[int, int, int, int]) -> list[FaceBox]:
         left, top, width, height = window
@@ -145,6 +145,20 @@ def _overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
     low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
     common = np.clip(high - low, 0, None).prod(axis=1)
     return common / (np.prod(box[2:] - box[:2]) + (others[:, 2:] - others[:, :2]).prod(axis=1) - common)
+
+
+def _distinct(faces: list[FaceBox]) -> list[FaceBox]:
+    """Faces found in overlapping windows, each once, the largest and most confident first.
+
+    A window's border may cut a face; the part that is found there has its center in the whole one.
+    """
+    kept: list[FaceBox] = []
+    for face in sorted(faces, key=lambda each: -each.score * each.side):
+        centers = np.array([other.center for other in kept]).reshape(-1, 2)
+        sides = np.array([other.side for other in kept])
+        if not (np.abs(centers - face.center).max(axis=1, initial=0) < (sides + face.side) / 4).any():
+            kept.append(face)
+    return kept
 
 
 def _windows(width: int, height: int, fraction: float) -> list[tuple[int, int, int, int]]:

@@ -12,6 +12,8 @@ MAX_STEP = 1.5
 """Farthest that a face moves between two frames that are looked at, in sides of its box."""
 MIN_PRESENCE = 0.2
 """Fraction of the frames looked at in which another person must be in view to be mentioned."""
+MIN_SCORE = 0.7
+"""Median confidence from which another person is one, and not a pattern that resembles a face."""
 
 
 def follow_one(frames: Sequence[Sequence[FaceBox]]) -> tuple[list[FaceBox], list[list[FaceBox]]]:
@@ -35,7 +37,8 @@ def follow_one(frames: Sequence[Sequence[FaceBox]]) -> tuple[list[FaceBox], list
         return [], []
     followed = max(tracks, key=lambda track: sum(face.side for face in track))
     often = max(2.0, MIN_PRESENCE * len(frames))
-    return followed, [track for track in tracks if track is not followed and len(track) >= often]
+    others = [track for track in tracks if track is not followed and len(track) >= often]
+    return followed, [track for track in others if np.median([face.score for face in track]) >= MIN_SCORE]
 
 
 def _distance(first: FaceBox, second: FaceBox) -> float:

@@ -121,10 +121,7 @@ def _face_finder(options: PrepOptions) -> Any:
     detector = FaceDetector(resolve_with_substitutes("face_landmarker", options.models, options.offline)[0])
 
     def find(frame: DecodedFrame) -> list[FaceBox]:
-        image = frame.image
-        faces = detector.detect_all(image)
-        small = None if faces else detector.detect(image)
-        return faces if small is None else [small]
+        return detector.detect_all(frame.image)
 
     return find
 

@@ -21,6 +21,11 @@ def test_the_larger_one_is_followed_whatever_the_order():
     assert "--resume --crop 222,25,150,150" in message
 
 
+def test_a_pattern_that_resembles_a_face_is_nobody():
+    pattern = FaceBox((400.0, 100.0), 40.0, 0.0, 0.55)
+    assert follow_one([[box(100), pattern] for _ in range(5)])[1] == []
+
+
 def test_somebody_who_passes_is_not_mentioned():
     frames = [[box(100)] for _ in range(9)] + [[box(100), box(400)]]
     followed, others = follow_one(frames)
