@@ -145,4 +145,4 @@ def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: in
     return square_crop_around(boxes, width, height, size)
 
 
-STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",), version=2)
+STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",), version=3)
