@@ -54,11 +54,23 @@ class PrepOptions:
     invert_masks: bool = False
     """The masks in the `--masks` folder are white where the person is not."""
 
+    camera: int | None = None
+    """Camera to use where the names of images and masks tell several apart (00012_03.png); the first if not given."""
+
     size: int = 512
     """Longer side of the capture's images, px."""
 
     crop: str = "auto"
     """Crop: auto (one square around the head), none (the whole frame), or X,Y,WIDTH,HEIGHT in px of the video."""
+
+    keep_faceless: bool = False
+    """Keep frames without evidence of the person (blank, no face, empty mask), with poses from neighboring frames."""
+
+    cut: str = "refuse"
+    """If another person follows: auto keeps the longest part of one person, N the N-th part, all everything."""
+
+    drop_repeated: bool = False
+    """Drop frames that repeat the one before (frozen video, or one converted from a lower frame rate)."""
 
     fps: float | None = None
     """Keep at most this many frames per second; for an image folder, its frame rate (25 if not given)."""

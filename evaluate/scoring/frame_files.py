@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
+from ggavatar.io.frame_names import frame_numbers
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -20,24 +20,27 @@ def frame_file(folder: Path, frame: int) -> Path:
 
 
 def frame_files(folder: Path) -> dict[int, Path]:
-    """Images of a folder by ascending frame number, which is the last group of digits in the file name.
+    """Images of a folder by ascending frame number, read from their names as `ggavatar.io.frame_names` does.
 
     Raises:
-        InputError: The folder is missing or contains no image, or two files have the same frame number.
+        InputError: The folder is missing or contains no image, it cannot be told which number counts the frames, two
+            files have the same one, or there are images of several cameras.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of images, found none; run ggavatar-eval on the run first")
-    found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
-        digits = re.findall(r"\d+", path.stem)
-        if path.suffix.lower() not in IMAGE_SUFFIXES or path.name.startswith(".") or not digits:
-            continue
-        number = int(digits[-1])
-        if number in found:
-            raise InputError(
-                f"{folder}: expected one image per frame, found {found[number].name} and {path.name}; remove one"
-            )
-        found[number] = path
+    files = [
+        path
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
+    ]
+    names = frame_numbers([path.stem for path in files], folder)
+    if names.cameras:
+        cameras = ", ".join(map(str, names.cameras))
+        raise InputError(
+            f"{folder}: expected one image per frame, found those of cameras {cameras}; evaluate one camera at a time, "
+            "from a folder of its own"
+        )
+    found = {number: path for number, path in zip(names.numbers, files, strict=True) if number is not None}
     if not found:
         raise InputError(f"{folder}: expected images named by frame number such as 000123.png, found none")
     return dict(sorted(found.items()))

@@ -57,6 +57,11 @@ class LandmarkTracker:
             self._detector, self._blendshapes = FaceDetector(files), BlendshapeNetwork(files)
             self._network = BundleNetwork(files)
         self._region: CropRegion | None = None
+        self._near: tuple[float, float] | None = None
+
+    def follow(self, place: tuple[float, float] | None) -> None:
+        """Follow the face nearest to a place, px, where several are in view; None follows the most prominent one."""
+        self._near = place
 
     @property
     def has_blendshapes(self) -> bool:
@@ -73,6 +78,9 @@ class LandmarkTracker:
         self._region = None if found is None else face_region(found.points)
         if found is None:
             return None
+        if self._near is not None:
+            center = (found.points.min(axis=0) + found.points.max(axis=0)) / 2
+            self._near = (float(center[0]), float(center[1]))
         scores = np.zeros(len(NAMES)) if self._blendshapes is None else self._blendshapes.scores(found.points)
         return Landmarks(found.points, found.depth, scores, found.presence)
 
@@ -81,7 +89,7 @@ class LandmarkTracker:
 
     def _detected(self, frame: np.ndarray) -> RawLandmarks | None:
         """Detect the face and find its landmarks twice, the second time in the region that tracking would choose."""
-        face = self._detector.detect(frame)
+        face = self._detector.detect(frame, self._near)
         if face is None:
             return None
         first = self._in_region(frame, CropRegion(face.center, face.side * FACE_MARGIN, face.roll))

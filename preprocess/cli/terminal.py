@@ -51,7 +51,8 @@ class Terminal:
         if self._quiet:
             return
         packed, folder = results["pack"], options.output_dir
-        lost = f", {packed['dropped']} left out" if packed["dropped"] else ""
+        reasons = ", ".join(f"{count} {reason}" for reason, count in packed["dropped_reasons"].items())
+        lost = f", {packed['dropped']} left out ({reasons})" if packed["dropped"] else ""
         self._output.print(f"capture with {packed['frames']} frames{lost}: {folder}", markup=False)
         self._output.print(
             f"next: ggavatar-train {shlex.quote(str(folder))} -o runs/{shlex.quote(folder.name)}", markup=False

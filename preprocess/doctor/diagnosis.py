@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from preprocess.doctor.conventions import AS_IS, AXES, EYES, FIXES, OTHERS
 from preprocess.doctor.frame_offset import find_offset
 from preprocess.doctor.letterbox import black_bars, crop_flags
 from preprocess.doctor.mask_check import FLAGS, check_masks, lies_on_faces, sampled_faces
+from preprocess.evidence.repeats import frozen_runs, kind_of_repeats, rate_without_repeats
 from preprocess.tracking.geometry.projection import one_torch_thread
 
 REPORT, PREVIEW = "doctor.json", "preview.jpg"
@@ -34,6 +36,10 @@ EXPECTED_IOU = 0.5
 JITTER_PIXELS, JITTER_DEGREES = 1.5, 0.6
 MAX_EYE_DIVERGENCE = 0.6
 """Mean divergence of the eyes, degrees, from which they are most likely swapped."""
+
+
+Faces = Mapping[int, np.ndarray]
+"""Landmarks by row of the tracking, px."""
 
 
 @dataclass(frozen=True)
@@ -77,24 +83,31 @@ class Diagnosis:
         }
 
 
-def examine(capture: Capture, head: HeadModel) -> Diagnosis:
-    """Take all measurements and derive the findings; takes a few seconds for a usual clip."""
+def examine(capture: Capture, head: HeadModel, faces: Faces | None = None) -> Diagnosis:
+    """Take all measurements and derive the findings; takes a few seconds for a usual clip.
+
+    Args:
+        capture: The capture.
+        head: Its head.
+        faces: Landmarks by row, px; looked for where they are needed if None.
+    """
     with one_torch_thread():
-        return _examined(capture, head)
+        return _examined(capture, head, cache(lambda: sampled_faces(capture) if faces is None else faces))
 
 
-def _examined(capture: Capture, head: HeadModel) -> Diagnosis:
+def _examined(capture: Capture, head: HeadModel, faces: Callable[[], Faces]) -> Diagnosis:
     findings: list[Finding] = []
     measures: dict[str, Any] = {}
-    faces = sampled_faces(capture)
-    fault, words, measures["masks"] = check_masks(capture, faces)
     test = prepare_convention_test(capture, head)
+    measures["silhouette_iou"] = float(test.overlaps(capture.tracking, AS_IS).mean())
+    # Where mesh and masks agree, each confirms the other; else the faces in the images decide whether the masks can be
+    # believed, before anything is concluded from them.
+    known = {} if measures["silhouette_iou"] >= EXPECTED_IOU else faces()
+    fault, words, measures["masks"] = check_masks(capture, known)
     if fault is None:
         named = _agreement(capture, head, test, faces, measures)
         findings += named
     else:
-        # Nothing is concluded from masks that are not credible.
-        measures["silhouette_iou"] = float(test.overlaps(capture.tracking, AS_IS).mean())
         named = []
         findings.append(Finding(f"masks-{fault}", "fault", words, FLAGS[fault]))
     measures["lens"] = quality.lens(capture)
@@ -116,7 +129,7 @@ def _agreement(
     capture: Capture,
     head: HeadModel,
     test: ConventionTest,
-    faces: Mapping[int, np.ndarray],
+    faces: Callable[[], Faces],
     measures: dict[str, Any],
 ) -> list[Finding]:
     """Whether mesh and masks agree, and if not, the convention that explains it."""
@@ -125,14 +138,15 @@ def _agreement(
     measures["hypotheses"] = [list(item) for item in axes.scores]
     measures["other_hypotheses"] = [list(item) for item in others.scores]
     own = dict(axes.scores)["as-is"]
-    measures["silhouette_iou"] = own
     scores = dict(axes.scores) | dict(others.scores)
     named = _convention(capture, head, (axes, others), faces) or _photometric_convention(capture, head, scores)
-    return named or _overlap(own, lies_on_faces(capture, head, capture.tracking, faces) if own < EXPECTED_IOU else None)
+    return named or _overlap(
+        own, lies_on_faces(capture, head, capture.tracking, faces()) if own < EXPECTED_IOU else None
+    )
 
 
 def _convention(
-    capture: Capture, head: HeadModel, rankings: Sequence[Ranking], faces: Mapping[int, np.ndarray]
+    capture: Capture, head: HeadModel, rankings: Sequence[Ranking], faces: Callable[[], Faces]
 ) -> list[Finding]:
     """The convention the tracking was most probably written in, if not ours.
 
@@ -147,7 +161,7 @@ def _convention(
     if after - before < IOU_TIE_MARGIN and explained_by_frame_offset(capture, head, chosen.best):
         return []
     corrected = chosen.best.correct(capture.tracking, capture.width, capture.height)
-    if lies_on_faces(capture, head, capture.tracking, faces) and not lies_on_faces(capture, head, corrected, faces):
+    if lies_on_faces(capture, head, capture.tracking, faces()) and not lies_on_faces(capture, head, corrected, faces()):
         return []
     message = (
         f"{chosen.best.description}: undoing that raises the overlap of mesh and mask from {before:.2f} to {after:.2f}"
@@ -259,13 +273,23 @@ def _image_quality(
         message = f"{len(measures['blurred'])} of {count} frames are blurred; use more light or a shorter exposure"
         findings.append(Finding("blur", "warning", message))
     if len(measures["repeated"]) > 0.05 * count:
-        message = (
-            f"{len(measures['repeated'])} of {count} frames repeat the one before; "
-            "the video was converted from a lower frame rate"
-        )
-        rate = capture.fps * (1 - len(measures["repeated"]) / count)
-        findings.append(Finding("repeated", "warning", message, f"--fps {rate:.0f}"))
+        findings.append(_repeats(capture, measures["repeated"]))
     return findings + (_bars(capture, measures) if masks_are_credible else [])
+
+
+def _repeats(capture: Capture, repeated: Sequence[int]) -> Finding:
+    """Frames that repeat the one before, with the probable cause."""
+    flags = np.isin(capture.frames, repeated)
+    kind, message = kind_of_repeats(flags), f"{len(repeated)} of {len(flags)} frames repeat the one before"
+    if kind == "rate":
+        rate = rate_without_repeats(capture.fps, flags)
+        message += f", evenly: the video was converted from a lower frame rate, about {rate:.4g} per second"
+    elif kind == "frozen":
+        stills = [f"{capture.frames[first]}–{capture.frames[last]}" for first, last in frozen_runs(flags)]
+        message += f": the picture is frozen in frames {', '.join(stills[:6])}{', …' if len(stills) > 6 else ''}"
+    else:
+        message += " here and there: the recording doubled frames, or nothing moved"
+    return Finding("frozen" if kind == "frozen" else "repeated", "warning", message, "--resume --drop-repeated")
 
 
 def _bars(capture: Capture, measures: dict[str, Any]) -> list[Finding]:

@@ -19,6 +19,8 @@ FRAMES = 12
 """How many frames are sampled."""
 MIN_AGREEMENT = 0.7
 """Fraction of frames in which a head must lie on the face to agree with the images."""
+MIN_FACE_HEIGHT, MAX_FACE_HEIGHT = 0.3, 1.1
+"""Height of a face relative to that of its head model, which may have a neck and shoulders."""
 FLAGS: Mapping[Fault, str] = {
     "inverted": "--resume --invert-masks",
     "empty": "--masks",
@@ -74,5 +76,5 @@ def lies_on_faces(
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         center, height = (face.min(axis=0) + face.max(axis=0)) / 2, float(np.ptp(face[:, 1]))
         inside = bool(((center > low) & (center < high)).all())
-        agreed.append(inside and 0.2 * (high[1] - low[1]) < height < 1.1 * (high[1] - low[1]))
+        agreed.append(inside and MIN_FACE_HEIGHT < height / max(high[1] - low[1], 1e-6) < MAX_FACE_HEIGHT)
     return bool(np.mean(agreed) >= MIN_AGREEMENT) if agreed else None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -11,17 +14,41 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
-COLUMNS, SIDE = 8, 256
+COLUMNS, SIDE, LINE = 8, 256, 24
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction towards the light in world axes."""
 
 
 def write_preview(capture: Capture, head: HeadModel) -> None:
-    """Write preview.jpg: eight frames of the clip in three rows, with their frame numbers."""
+    """Write preview.jpg: eight frames of the clip in three rows; below, the dropped frames."""
     count = min(COLUMNS, len(capture.frames))
     rows = [round(position) for position in np.linspace(0, len(capture.frames) - 1, count)]
     columns = [_column(capture, head, row) for row in rows]
-    write_jpeg(capture.folder / "preview.jpg", np.concatenate(columns, axis=1))
+    sheet = np.concatenate(columns, axis=1)
+    if capture.dropped:
+        sheet = np.concatenate((sheet, dropped_strip(capture.dropped, sheet.shape[1])))
+    write_jpeg(capture.folder / "preview.jpg", sheet)
+
+
+def dropped_strip(dropped: Sequence[Mapping[str, Any]], width: int) -> UInt8[np.ndarray, "h w 3"]:
+    """A strip of text with the dropped frames, one line for each reason."""
+    numbers: dict[str, list[int]] = {}
+    for item in dropped:
+        numbers.setdefault(str(item.get("reason", "dropped")), []).append(int(item.get("frame", -1)))
+    lines = [f"left out: {len(found)} x {reason}: {_ranges(found)}" for reason, found in numbers.items()]
+    strip = np.zeros((LINE * len(lines) + 8, width, 3), np.uint8)
+    for place, line in enumerate(lines):
+        # OpenCV's fonts have ASCII only.
+        text = line.encode("ascii", "replace").decode()[: width // 9]
+        strip = cv2.putText(
+            strip, text, (6, LINE * place + 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 0), 1, cv2.LINE_AA
+        )
+    return strip
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    groups = np.split(np.asarray(numbers), np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return ", ".join(f"{group[0]}" if len(group) == 1 else f"{group[0]}-{group[-1]}" for group in groups)
 
 
 def _column(capture: Capture, head: HeadModel, row: int) -> UInt8[np.ndarray, "h w 3"]:

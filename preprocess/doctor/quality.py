@@ -11,13 +11,11 @@ from jaxtyping import Float, Int, UInt8
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
+from preprocess.evidence.survey import MAX_REPEAT_DIFFERENCE
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
 MIN_RELATIVE_SHARPNESS = 0.3
 """Sharpness, relative to the clip's median, below which a frame counts as blurred."""
-
-MAX_REPEAT_DIFFERENCE = 0.15
-"""Mean difference of neighboring frames, in 8-bit levels, below which the second counts as a repeat."""
 
 
 def lens(capture: Capture) -> dict[str, float]:

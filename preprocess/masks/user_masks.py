@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,22 +103,19 @@ def open_user_masks(
     return UserMasks(folder, levels, inverted, crop, source_size)
 
 
-def require_credible(
-    masks: UserMasks, pairs: Mapping[int, Path], faces: Callable[[Sequence[int]], Mapping[int, np.ndarray]]
-) -> None:
+def require_credible(masks: UserMasks, pairs: Mapping[int, Path], faces: Mapping[int, np.ndarray]) -> None:
     """Check some masks against the picture's border and the faces.
 
     Args:
         masks: The masks.
         pairs: Mask files by frame.
-        faces: Gives the faces of some frames; those it does not find are missing.
+        faces: Landmarks by frame, px, as far as they are known.
 
     Raises:
         InputError: They cannot be those of the person in the images.
     """
-    chosen = some_of(list(pairs))
-    seen = faces(chosen)
-    measures = [measure_mask(masks.fitted(pairs[number]), seen.get(number)) for number in chosen]
+    chosen = some_of([number for number in pairs if number in faces] or list(pairs))
+    measures = [measure_mask(masks.fitted(pairs[number]), faces.get(number)) for number in chosen]
     fault = find_fault(measures)
     if fault is None:
         return

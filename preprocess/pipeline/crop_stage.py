@@ -14,11 +14,10 @@ from ggavatar.io.ordered_map import ordered_map
 from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
-from preprocess.pipeline.read_stage import selection_of
+from preprocess.pipeline.read_stage import open_input, selection_of
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import Crop, explicit_crop, parse_rectangle, square_crop, square_crop_around, whole_frame
 from preprocess.video.frame import DecodedFrame
-from preprocess.video.sources import open_source
 
 HEAD_POINTS = np.array([[x, y, z] for x in (-0.09, 0.09) for y in (-0.12, 0.14) for z in (-0.12, 0.08)])
 """Corners of a box around an adult's head in FLAME's coordinates, m."""
@@ -53,7 +52,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     folder = context.folder / "images"
     folder.mkdir(parents=True, exist_ok=True)
     numbers = list(source["numbers"])
-    wanted = selection_of(options).keep(open_source(options.input, options.fps).frames())
+    wanted = selection_of(options).keep(open_input(options).frames())
     done = 0
     for done, _ in enumerate(ordered_map(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
         context.reporter.advance(done, len(numbers))

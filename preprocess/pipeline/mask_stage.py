@@ -1,4 +1,4 @@
-"""Third stage: a soft foreground mask for every image: the user's, the video's alpha, a network's or GrabCut's."""
+"""Fifth stage: a soft foreground mask for every image: the user's, the video's alpha, a network's or GrabCut's."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from ggavatar.errors import GateError, InputError
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.evidence.faces import faces_in_some, local_landmark_tracker
 from preprocess.masks.checks import is_empty
 from preprocess.masks.user_masks import UserMasks, open_user_masks, require_credible
 from preprocess.options import PrepOptions
 from preprocess.pipeline.alpha_masks import NAME as ALPHA
 from preprocess.pipeline.alpha_masks import alpha_masks
+from preprocess.pipeline.evidence_stage import faces_by_frame
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
@@ -37,7 +37,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
         if options.invert_masks:
             raise InputError(f"--invert-masks is for a folder of masks, found --masks {options.masks}; leave it out")
         return {"masks": options.masks}
-    return {"masks": file_state(Path(options.masks)), "inverted": options.invert_masks}
+    return {"masks": file_state(Path(options.masks)), "inverted": options.invert_masks, "camera": options.camera}
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
@@ -55,11 +55,8 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
     """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers, files = list(context.results["frames"]["numbers"]), numbered_images(folder)
-    if not files:
-        raise InputError(
-            f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
-        )
+    numbers = list(context.results["evidence"]["numbers"])
+    files = _mask_files(context, folder, numbers)
     crop = crop_from_json(dict(context.results["crop"]["crop"]))
     masks = open_user_masks(folder, files, context.options.invert_masks, crop, _source_size(context))
     offset = find_mask_offset(numbers, files, lambda number: _image(context, number), masks.fitted)
@@ -70,21 +67,36 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
             context.reporter.note(f"{folder}: {note}")
     if offset:
         context.reporter.warn(f"{folder}: mask k belongs to frame k{-offset:+d}, judging by the edges in the images")
-    require_credible(masks, pairs, lambda chosen: _faces(context, chosen))
+    require_credible(masks, pairs, faces_by_frame(context))
     kept, dropped = _written(context, masks, pairs)
+    if context.options.keep_faceless:
+        kept, dropped = list(pairs), {}
     dropped |= {number: NO_MASK for number in numbers if number not in pairs}
     _report_dropped(context, f"{folder}", len(numbers), dropped)
     return {"numbers": kept, "dropped": _listed(dropped), "kind": "files", "offset": offset, "name": folder.name}
 
 
+def _mask_files(context: StageContext, folder: Path, numbers: Sequence[int]) -> Mapping[int, Path]:
+    """The mask files by their own numbers; by position only if every frame has one."""
+    found = numbered_images(folder, context.options.camera)
+    if not found.files:
+        raise InputError(
+            f"{folder}: no masks in this folder; expected PNG or JPEG files with frame numbers in their names"
+        )
+    for note in found.notes:
+        context.reporter.note(note)
+    if not found.by_position:
+        return found.files
+    if len(found.files) != len(numbers):
+        raise InputError(
+            f"{folder}: no numbers in the names of the {len(found.files)} masks, so it cannot be told which of the "
+            f"{len(numbers)} frames they belong to; rename them to the frames' numbers, such as {numbers[0]:06d}.png"
+        )
+    return dict(zip(numbers, found.files.values(), strict=True))
+
+
 def _image(context: StageContext, number: int) -> np.ndarray:
     return read_rgb(context.folder / "images" / f"{number:06d}.png")
-
-
-def _faces(context: StageContext, numbers: Sequence[int]) -> Mapping[int, np.ndarray]:
-    """The face in some frames, as far as the networks are on this machine."""
-    tracker = local_landmark_tracker(context.options.models)
-    return faces_in_some(tracker, numbers, lambda number: _image(context, number))
 
 
 def _written(context: StageContext, masks: UserMasks, pairs: Mapping[int, Path]) -> tuple[list[int], dict[int, str]]:
@@ -161,7 +173,7 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     """Masks from a network or GrabCut, frame by frame."""
     from preprocess.masks.matting import open_matting
 
-    numbers = list(context.results["frames"]["numbers"])
+    numbers = list(context.results["evidence"]["numbers"])
     matting = open_matting(wanted, context.options.models, context.options.offline)
     for warning in matting.warnings:
         context.reporter.warn(warning)
@@ -178,7 +190,7 @@ def _computed_masks(context: StageContext, wanted: str) -> Mapping[str, Any]:
     ):
         empty += [number] if nobody else []
         context.reporter.advance(done, len(numbers))
-    dropped = dict.fromkeys(empty, EMPTY_MASK)
+    dropped = {} if context.options.keep_faceless else dict.fromkeys(empty, EMPTY_MASK)
     _report_dropped(context, str(context.options.input), len(numbers), dropped)
     kept = [number for number in numbers if number not in dropped]
     return {"numbers": kept, "dropped": _listed(dropped), "kind": matting.name, "offset": 0, "name": matting.name}

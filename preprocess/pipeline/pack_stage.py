@@ -1,15 +1,21 @@
-"""Fifth stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
+"""Seventh stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from ggavatar.data.capture import TRACKING, Capture, Tracking
 from ggavatar.data.capture_schema import read_tracking
 from ggavatar.data.splits import split_frames, split_name
 from preprocess.options import PrepOptions
-from preprocess.pipeline.stage import Stage, StageContext, file_state
+from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
+
+FOLDERS = ("images", "masks")
+DROPPED = f"{RECORDS}/dropped"
+"""Where images and masks of dropped frames are kept."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
@@ -18,13 +24,11 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def _split_files(options: PrepOptions) -> list[Any]:
-    from pathlib import Path
-
     return [file_state(Path(rule.removeprefix("file:"))) for rule in options.split if rule.startswith("file:")]
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write capture.json and remove images and masks of dropped frames."""
+    """Write capture.json and put images and masks of dropped frames aside."""
     source, crop = context.results["frames"], context.results["crop"]["crop"]
     numbers, tracked = tuple(source["numbers"]), context.results["tracking"]
     frames = tuple(tracked["numbers"])
@@ -34,7 +38,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         subject=context.options.subject or context.options.input.stem,
         width=crop["out_width"],
         height=crop["out_height"],
-        fps=source["fps"],
+        fps=context.results["evidence"]["fps"],
         frames=frames,
         splits={split_name(rule): split_frames(frames, rule) for rule in rules},
         tracking=Tracking(**read_tracking(context.folder / TRACKING)),
@@ -44,17 +48,35 @@ def run(context: StageContext) -> Mapping[str, Any]:
     )
     capture.write_metadata()
     Capture.open(context.folder)
-    for item in capture.dropped:
-        for folder in ("images", "masks"):
-            capture.image_path(folder, item["frame"]).unlink(missing_ok=True)
+    _put_aside(capture)
     context.reporter.advance(1, 1)
-    return {"frames": len(frames), "dropped": len(capture.dropped)}
+    reasons = Counter(str(item["reason"]) for item in capture.dropped)
+    return {"frames": len(frames), "dropped": len(capture.dropped), "dropped_reasons": dict(reasons)}
+
+
+def _put_aside(capture: Capture) -> None:
+    """Move images and masks of dropped frames into the records, where they are no part of the capture."""
+    for folder in FOLDERS:
+        aside = capture.folder / DROPPED / folder
+        aside.mkdir(parents=True, exist_ok=True)
+        for item in capture.dropped:
+            path = capture.image_path(folder, item["frame"])
+            if path.exists():
+                path.replace(aside / path.name)
+
+
+def restore_dropped(folder: Path) -> None:
+    """Move them back: another run of a stage may drop other frames."""
+    for name in FOLDERS:
+        for path in sorted((folder / DROPPED / name).glob("[0-9]*.png")):
+            (folder / name).mkdir(exist_ok=True)
+            path.replace(folder / name / path.name)
 
 
 def _dropped(numbers: tuple[int, ...], context: StageContext) -> tuple[dict[str, Any], ...]:
     """Dropped frames with the reason that the first stage to drop them gave."""
     tracked = set(context.results["tracking"]["numbers"])
-    reasons = dict(context.results["masks"]["dropped"])
+    reasons = dict(context.results["masks"]["dropped"]) | dict(context.results["evidence"]["dropped"])
     lost = [number for number in numbers if number not in tracked]
     return tuple({"frame": number, "reason": reasons.get(number, "no tracking")} for number in lost)
 
@@ -82,4 +104,4 @@ def _provenance(context: StageContext) -> dict[str, Any]:
     }
 
 
-STAGE = Stage("pack", "Packing", inputs, run, outputs=("capture.json",))
+STAGE = Stage("pack", "Packing", inputs, run, outputs=("capture.json",), version=2)

@@ -11,7 +11,16 @@ from typing import Any
 from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
 from preprocess.options import PrepOptions
-from preprocess.pipeline import crop_stage, doctor_stage, mask_stage, pack_stage, read_stage, tracking_stage
+from preprocess.pipeline import (
+    crop_stage,
+    doctor_stage,
+    evidence_stage,
+    face_stage,
+    mask_stage,
+    pack_stage,
+    read_stage,
+    tracking_stage,
+)
 from preprocess.pipeline.stage import (
     RECORDS,
     Reporter,
@@ -26,6 +35,8 @@ from preprocess.pipeline.stage import (
 STAGES = (
     read_stage.STAGE,
     crop_stage.STAGE,
+    face_stage.STAGE,
+    evidence_stage.STAGE,
     mask_stage.STAGE,
     tracking_stage.STAGE,
     pack_stage.STAGE,
@@ -82,6 +93,7 @@ def _run(stage: Stage, context: StageContext, wanted: str) -> Mapping[str, Any]:
     """
     if stage.name != doctor_stage.STAGE.name:
         (context.folder / DESCRIPTION).unlink(missing_ok=True)
+        pack_stage.restore_dropped(context.folder)
     if not was_interrupted(context.folder, stage, wanted):
         for name in stage.outputs:
             _remove_output(context.folder / name)

@@ -7,16 +7,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ggavatar.errors import GateError, InputError
 from ggavatar.io.digests import sha256_of
+from ggavatar.landmarks.detector import FaceBox
+from preprocess.evidence.people import describe_others, follow_one
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage, StageContext, file_state
-from preprocess.video.frame import DecodedFrame
+from preprocess.video.frame import DecodedFrame, FrameSource
+from preprocess.video.image_folder import ImageFolder
 from preprocess.video.selection import Selection, parse_selection
 from preprocess.video.sources import open_source
 
+MINIMUM_FRAMES = 8
+"""Fewest frames that the built-in tracker works with."""
 FACE_DETECTION_INTERVAL = 0.5
 """Time between two face detections, s."""
 
@@ -24,12 +27,22 @@ FACE_DETECTION_INTERVAL = 0.5
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
     """The source, the selection, and whether faces are detected."""
     selection = (options.fps, options.start, options.end, options.frames)
-    return {"input": file_state(options.input), "selection": selection, "faces": needs_faces(options)}
+    return {
+        "input": file_state(options.input),
+        "camera": options.camera if options.input.is_dir() else None,
+        "selection": selection,
+        "faces": needs_faces(options),
+    }
 
 
 def needs_faces(options: PrepOptions) -> bool:
     """Whether the crop depends on detected faces; with imported tracking it depends on that instead."""
     return options.tracking is None and options.crop == "auto"
+
+
+def open_input(options: PrepOptions) -> FrameSource:
+    """The video or the folder of images."""
+    return open_source(options.input, options.fps, options.camera)
 
 
 def selection_of(options: PrepOptions) -> Selection:
@@ -46,11 +59,14 @@ def run(context: StageContext) -> Mapping[str, Any]:
         GateError: Frames were lost, with `--strict`.
     """
     options = context.options
-    source, selection = open_source(options.input, options.fps), selection_of(options)
+    source, selection = open_input(options), selection_of(options)
+    if isinstance(source, ImageFolder):
+        for note in source.notes:
+            context.reporter.note(note)
     detect = _face_finder(options) if needs_faces(options) else None
     numbers: list[int] = []
     times: list[float] = []
-    faces: list[np.ndarray | None] = []
+    faces: list[list[FaceBox]] = []
     alpha = _AlphaSample()
     size = (0, 0)
     for frame in selection.keep(source.frames()):
@@ -62,6 +78,9 @@ def run(context: StageContext) -> Mapping[str, Any]:
         size = (frame.width, frame.height)
         context.reporter.advance(len(numbers), None)
     _check_count(options, len(numbers))
+    followed, others = follow_one(faces)
+    if others:
+        context.reporter.note(describe_others(followed, others, len(faces), size))
     for error in source.decode_errors():
         if options.strict:
             raise GateError(f"{options.input}: {error} (--strict)")
@@ -75,7 +94,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         "height": size[1],
         "fps": (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 25.0,
         "numbers": numbers,
-        "faces": [list(map(float, face)) for face in faces if face is not None],
+        "faces": [list(face.corners) for face in followed],
         "faces_looked_for": len(faces),
         "losses": source.decode_errors(),
         "conversions": source.conversions(),
@@ -92,6 +111,11 @@ def _check_count(options: PrepOptions, count: int) -> None:
     if count == 1:
         raise InputError(
             f"{options.input}: expected a video with several hundred frames of a moving face, found only one frame"
+        )
+    if options.tracking is None and count < MINIMUM_FRAMES:
+        raise InputError(
+            f"{options.input}: too few frames: expected at least {MINIMUM_FRAMES}, and several hundred for a good "
+            f"avatar, found {count}; record longer, or check --fps, --start, --end and --frames"
         )
 
 
@@ -117,18 +141,14 @@ class _AlphaSample:
 
 
 def _face_finder(options: PrepOptions) -> Any:
-    """A function that gives the face box (left, top, right, bottom; px) of a frame, or None."""
+    """A function that gives all faces of a frame."""
     from ggavatar.landmarks.detector import FaceDetector
     from ggavatar.pretrained.resolve import resolve_with_substitutes
 
     detector = FaceDetector(resolve_with_substitutes("face_landmarker", options.models, options.offline)[0])
 
-    def find(frame: DecodedFrame) -> np.ndarray | None:
-        face = detector.detect(frame.image)
-        if face is None:
-            return None
-        center, half = np.array(face.center), face.side / 2
-        return np.concatenate((center - half, center + half))
+    def find(frame: DecodedFrame) -> list[FaceBox]:
+        return detector.detect_all(frame.image)
 
     return find
 

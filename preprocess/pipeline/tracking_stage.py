@@ -1,4 +1,4 @@
-"""Fourth stage: cameras and head parameters, imported from another tracker or found by the built-in one."""
+"""Sixth stage: cameras and head parameters, imported from another tracker or found by the built-in one."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.doctor.conventions import apply_fixes
 from preprocess.doctor.frame_offset import find_offset
+from preprocess.evidence.survey import read_survey
 from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions
+from preprocess.pipeline.face_stage import SURVEY
+from preprocess.pipeline.mask_stage import NO_MASK
 from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence
@@ -47,9 +50,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
     numbers = list(context.results["masks"]["numbers"])
     with one_torch_thread():
-        numbers, sequence = (
-            _imported(context, numbers) if context.options.tracking else (numbers, _tracked(context, numbers))
-        )
+        numbers, sequence = (_imported if context.options.tracking else _tracked)(context, numbers)
     write_npz(context.folder / TRACKING, sequence.tracking.arrays())
     save_head(sequence.head, context.folder / HEAD)
     for warning in sequence.report.get("warnings", ()):
@@ -57,16 +58,28 @@ def run(context: StageContext) -> Mapping[str, Any]:
     return {"numbers": numbers, "version": sequence.head.version, "report": dict(sequence.report)}
 
 
-def _tracked(context: StageContext, numbers: list[int]) -> TrackedSequence:
-    """The built-in tracker's result; images are read one at a time."""
+def _tracked(context: StageContext, masked: list[int]) -> tuple[list[int], TrackedSequence]:
+    """The built-in tracker's result; images are read one at a time.
+
+    It also gets the frames in between that are dropped, since it smooths over time; it relies on nothing in them.
+    """
     from preprocess.tracking.tracker import track
 
+    results = context.results
+    without_file = {number for number, reason in results["masks"]["dropped"] if reason == NO_MASK}
+    numbers = [number for number in results["evidence"]["numbers"] if number not in without_file]
     images = ImagesOnDisk(context, "images", numbers, read_rgb)
     masks = ImagesOnDisk(context, "masks", numbers, read_gray)
+    row_of = {number: row for row, number in enumerate(results["frames"]["numbers"])}
+    faces = read_survey(context.folder / SURVEY).faces.rows([row_of[number] for number in numbers])
     source, crop = context.results["frames"], crop_from_json(dict(context.results["crop"]["crop"]))
     centered = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
     center = crop.intrinsics(centered)[:2, 2]
-    return track(images, masks, float(source["fps"]), context.options, (float(center[0]), float(center[1])))
+    place = (float(center[0]), float(center[1]))
+    sequence = track(images, masks, float(context.results["evidence"]["fps"]), context.options, place, faces)
+    kept = sorted(set(masked) - {number for number, _ in results["evidence"]["dropped"]})
+    rows = np.flatnonzero(np.isin(numbers, kept))
+    return kept, dataclasses.replace(sequence, tracking=sequence.tracking.rows(rows))
 
 
 class ImagesOnDisk(Sequence[np.ndarray]):
@@ -125,7 +138,7 @@ def with_torso(context: StageContext, head: HeadModel, tracking: Tracking, numbe
     """The tracking with the torso's own motion, which other trackers do not estimate."""
     images = ImagesOnDisk(context, "images", numbers, read_rgb)
     masks = ImagesOnDisk(context, "masks", numbers, read_gray)
-    torso = track_torso(head, tracking, images, masks, float(context.results["frames"]["fps"]))
+    torso = track_torso(head, tracking, images, masks, float(context.results["evidence"]["fps"]))
     return dataclasses.replace(tracking, torso_to_camera=torso)
 
 
@@ -243,4 +256,4 @@ def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 
 
-STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=9)
+STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=10)

@@ -15,9 +15,9 @@ from ggavatar.head.model import HeadModel
 from ggavatar.landmarks.average_face import average_face
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
 from ggavatar.landmarks.networks import FaceNetworkFiles
-from ggavatar.landmarks.tracker import LandmarkTracker
+from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from ggavatar.pretrained.catalogue import MEDIAPIPE
-from ggavatar.pretrained.resolve import resolve_with_substitutes
+from preprocess.evidence.clip_faces import ClipFaces
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.tracking.face.clip_fit import CameraEstimate, ClipFit, estimate_camera, fit_face, reprojection_errors
 from preprocess.tracking.face.gaze import CLOSED_LID, centered_eyeballs, conjugate_gaze, eye_rotations
@@ -53,6 +53,7 @@ def track(
     fps: float,
     options: PrepOptions,
     center: tuple[float, float] | None = None,
+    faces: ClipFaces | None = None,
 ) -> TrackedSequence:
     """Track a clip.
 
@@ -64,14 +65,18 @@ def track(
             fitted instead of creating a head model of the subject.
         center: Principal point, px of the images; None is their center. For cropped images pass the center of the
             video they are cropped from.
+        faces: Landmarks of the images, if they have been found already.
 
     Raises:
         InputError: A model file is missing, or too few frames show a face.
     """
     tracker, face = open_networks(options)
 
+    def landmarks(row: int, image: np.ndarray) -> Landmarks | None:
+        return tracker.landmarks(image) if faces is None else faces.at(row)
+
     def observed() -> Observations:
-        observations = observe(images, masks, fps, tracker)
+        observations = observe(images, masks, fps, landmarks)
         return dataclasses.replace(observations, clip=dataclasses.replace(observations.clip, center=center))
 
     if options.head_model is not None:
@@ -232,7 +237,6 @@ def _report(observations: Observations, fit: ClipFit) -> dict[str, Any]:
     lost = int((~clip.found).sum())
     scored = bool(clip.blendshapes.any())
     notes = [] if scored else [WITHOUT_BUNDLE]
-    warning = f"no face in {lost} of {len(clip.found)} frames; their poses are taken from neighboring frames"
     wheel = f"{MEDIAPIPE.project}=={MEDIAPIPE.version}"
     return {
         "tracker": "built-in",
@@ -249,5 +253,5 @@ def _report(observations: Observations, fit: ClipFit) -> dict[str, Any]:
         "frames_without_face": lost,
         "torso_followed": observations.torso.tracked_frames,
         "notes": notes,
-        "warnings": [*notes, warning] if lost else notes,
+        "warnings": notes,
     }

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from ggavatar.errors import InputError
+from ggavatar.io.frame_names import frame_numbers
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.picture_decoding import picture_kind
 from preprocess.video.frame import DecodedFrame
@@ -22,11 +23,12 @@ class ImageFolder:
         InputError: No images in the folder.
     """
 
-    def __init__(self, path: Path, fps: float) -> None:
+    def __init__(self, path: Path, fps: float, camera: int | None = None) -> None:
         self.path = path
         self._fps = fps
         self._conversions: dict[str, None] = {}
-        self._files = numbered_images(path)
+        numbered = numbered_images(path, camera)
+        self._files, self.notes = numbered.files, numbered.notes
         if not self._files:
             raise InputError(
                 f"{path}: no images in this folder; expected PNG or JPEG files with frame numbers in their names"
@@ -60,16 +62,35 @@ class ImageFolder:
         return list(self._conversions)
 
 
-def numbered_images(folder: Path) -> dict[int, Path]:
-    """PNG and JPEG files of a folder by the last number in their names, ascending.
+@dataclass(frozen=True)
+class NumberedImages:
+    """The images of a folder by frame number.
 
-    If a number is missing or repeated, files are numbered by position in sorted order instead.
+    Attributes:
+        files: By frame number, ascending.
+        notes: What was assumed about their names, in words.
+        by_position: Whether they are numbered by position, since no name has a number in it.
+    """
+
+    files: Mapping[int, Path]
+    notes: tuple[str, ...] = ()
+    by_position: bool = False
+
+
+def numbered_images(folder: Path, camera: int | None = None) -> NumberedImages:
+    """PNG and JPEG files of a folder by the frame number in their names (see `ggavatar.io.frame_names`).
+
+    Files are numbered by position in sorted order only if no name has a number in it.
+
+    Raises:
+        InputError: It cannot be told which number counts the frames, or there is no such camera.
     """
     files = sorted(
         path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
     )
-    digits = [re.findall(r"\d+", path.stem) for path in files]
-    numbers = [int(found[-1]) if found and len(found[-1]) <= 9 else -1 for found in digits]
-    if len(set(numbers)) == len(files) and min(numbers, default=0) >= 0:
-        return dict(sorted(zip(numbers, files, strict=True)))
-    return dict(enumerate(files))
+    found = frame_numbers([path.stem for path in files], folder, camera)
+    if files and all(number is None for number in found.numbers):
+        note = f"{folder}: no numbers in the names of the images, which are numbered in alphabetical order"
+        return NumberedImages(dict(enumerate(files)), (note,), by_position=True)
+    numbered = {number: path for number, path in zip(found.numbers, files, strict=True) if number is not None}
+    return NumberedImages(dict(sorted(numbered.items())), tuple(f"{folder}: {note}" for note in found.notes))

@@ -9,12 +9,13 @@ from preprocess.video.frame import FrameSource
 from preprocess.video.image_folder import ImageFolder
 
 
-def open_source(path: Path, fps: float | None = None) -> FrameSource:
+def open_source(path: Path, fps: float | None = None, camera: int | None = None) -> FrameSource:
     """A video file or an image folder as a frame source.
 
     Args:
         path: The file or folder.
         fps: Frame rate of an image folder; 25 if None.
+        camera: Camera of an image folder whose names tell several apart; the first if None.
 
     Raises:
         InputError: No such file, or nothing that can be decoded.
@@ -22,7 +23,7 @@ def open_source(path: Path, fps: float | None = None) -> FrameSource:
     from preprocess.video.decoding import Video
 
     if path.is_dir():
-        return ImageFolder(path, fps or 25.0)
+        return ImageFolder(path, fps or 25.0, camera)
     if not path.exists():
         raise InputError(f"{path}: no such file; give a video or a folder of PNG or JPEG images")
     return Video(path)
