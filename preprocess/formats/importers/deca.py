@@ -16,7 +16,7 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.npz import read_npz, write_npz
 from preprocess.formats.json_fields import camera_matrix, last_number
-from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
 
 TITLE = "DECA / EMOCA / SMIRK codes: NAME.npz or NAME/{shape,exp,pose,cam}.npy"
 SIDE = 224
@@ -64,7 +64,7 @@ def read(folder: Path) -> TrackingRecord:
         shape=stacked(folder, [code["shape"] for code in codes], "identity coefficients").mean(axis=0),
         notes=("weak-perspective camera: distance and focal length are assumed", "the identity is the clip's mean"),
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
 def _values(path: Path) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 from ggavatar.data.capture_schema import check_tracking, read_tracking
 from ggavatar.errors import InputError
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
-from preprocess.formats.tracking_record import TrackingRecord, require_finite
+from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
 
 TITLE = (
     "plain npz: intrinsics, world_to_camera, expression, joint_rotations, eyelids, translation, frames, width, height"
@@ -62,7 +62,7 @@ def read(path: Path) -> TrackingRecord:
         shape=arrays["shape"].astype(np.float64) if "shape" in arrays else None,
         version=str(extra["version"]) if "version" in extra else None,
     )
-    return require_finite(path, record)
+    return without_bad_frames(path, record)
 
 
 def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:

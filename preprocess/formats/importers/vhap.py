@@ -25,7 +25,7 @@ from preprocess.formats.json_fields import (
     pose_from_opengl,
     pose_to_opengl,
 )
-from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
 
 TITLE = "VHAP export / GaussianAvatars: transforms.json with flame_param/%05d.npz"
 _KEYS = (
@@ -81,7 +81,7 @@ def read(folder: Path) -> TrackingRecord:
         notes=tuple(notes),
         extra={"static_offset": offset[0]} if offset is not None and np.any(offset) else {},
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
 def _frames(folder: Path) -> tuple[list[Mapping[str, Any]], Path]:

@@ -232,12 +232,17 @@ def test_paths_in_json_stay_inside(target, tmp_path):
         vhap.read(folder)
 
 
-def test_nan_names_the_frame(tmp_path):
+def test_a_frame_with_nan_is_left_out(tmp_path):
+    """One bad frame of four: it is named; three of four: the clip is refused."""
     record = moving_record(4)
     record.world_to_camera[2, 0, 3] = np.nan
     folder = tmp_path / "nan"
     metrical_tracker.write(folder, record)
-    with pytest.raises(InputError, match="frame 2 is NaN"):
+    found = metrical_tracker.read(folder)
+    assert found.numbers.tolist() == [0, 1, 3] and any("of frame 2 is NaN" in note for note in found.notes)
+    record.world_to_camera[:3, 0, 3] = np.inf
+    metrical_tracker.write(folder, record)
+    with pytest.raises(InputError, match="of frame 0 is NaN, infinite or above 10⁶ in magnitude, and so in 3 of 4"):
         metrical_tracker.read(folder)
 
 

@@ -1,0 +1,90 @@
+"""Frames of a clip that are read one file at a time: what cannot be read is left out and said."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ggavatar.errors import InputError
+from preprocess.formats.array_table import Assume
+from preprocess.formats.tracking_record import MAX_BAD_SHARE, left_out_text
+
+Frame = Mapping[str, np.ndarray]
+"""Arrays of one frame by name; "size", if there, is the (height, width) of its image."""
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """The readable frames of a clip, all with arrays of the same shapes.
+
+    Attributes:
+        numbers: Frame numbers, ascending.
+        frames: Arrays of each frame.
+        notes: What was left out or assumed.
+    """
+
+    numbers: tuple[int, ...]
+    frames: tuple[Frame, ...]
+    notes: tuple[str, ...]
+
+    def stacked(self, name: str) -> np.ndarray:
+        """The array of that name of all frames."""
+        return np.stack([frame[name] for frame in self.frames])
+
+    def identity(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        """The first frame's "shape", and a note if it changes."""
+        shapes = self.stacked("shape")
+        same = np.allclose(shapes, shapes[0], atol=1e-5, equal_nan=True)
+        return shapes[0], () if same else ("the identity changes between frames; the first is used",)
+
+
+def read_frames(source: Path, files: Mapping[int, Path], read: Callable[[Path, Assume], Frame]) -> FrameSet:
+    """Read every file and keep the frames whose arrays have the shapes, and the size, that most frames have.
+
+    Args:
+        source: The folder, for messages.
+        files: Files by frame number.
+        read: Reads one of them.
+
+    Raises:
+        InputError: More than half of the frames cannot be used; the message is that of the first one.
+    """
+    frames: dict[int, Frame] = {}
+    errors: dict[int, InputError] = {}
+    assumed: Counter[str] = Counter()
+    for number, path in files.items():
+        here: set[str] = set()
+        try:
+            frames[number] = read(path, here.add)
+            assumed.update(here)
+        except InputError as error:
+            errors[number] = error
+    usual = Counter(_signature(frame) for frame in frames.values()).most_common(1)
+    for number in [number for number, frame in frames.items() if _signature(frame) != usual[0][0]]:
+        errors[number] = InputError(
+            f"{files[number]}: expected the sizes of most other frames, found {_signature_text(frames.pop(number))}; "
+            "track the video in a single run"
+        )
+    if not frames or len(errors) > MAX_BAD_SHARE * len(files):
+        raise next(iter(errors.values())) if errors else InputError(f"{source}: expected frames, found none")
+    numbers = tuple(sorted(frames))
+    notes = [text if count == len(frames) else f"{text} (in {count} frames)" for text, count in assumed.items()]
+    if errors:
+        notes.insert(0, f"{left_out_text(list(errors), len(files))}, the first since {errors[min(errors)]}")
+    return FrameSet(numbers, tuple(frames[number] for number in numbers), tuple(notes))
+
+
+def _signature(frame: Frame) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    sizes = tuple(int(value) for value in frame["size"]) if "size" in frame else ()
+    return (*((name, value.shape) for name, value in sorted(frame.items())), ("size", sizes))
+
+
+def _signature_text(frame: Frame) -> str:
+    size = f"images of {int(frame['size'][1])}×{int(frame['size'][0])} px, " if "size" in frame else ""
+    return size + ", ".join(
+        f"{name} {'×'.join(map(str, value.shape))}" for name, value in frame.items() if value.size > 3
+    )
