@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +43,26 @@ class FrameSet:
         return shapes[0], () if same else ("the identity changes between frames; the first is used",)
 
 
+Reader = Callable[[Assume], Frame]
+"""Reads one frame."""
+
+
 def read_frames(source: Path, files: Mapping[int, Path], read: Callable[[Path, Assume], Frame]) -> FrameSet:
-    """Read every file and keep the frames whose arrays have the shapes, and the size, that most frames have.
+    """Read one file for every frame; see `collect_frames`."""
+    return collect_frames(source, {number: (path, partial(read, path)) for number, path in files.items()})
+
+
+def read_rows(path: Path, count: int, read: Callable[[int, Assume], Frame]) -> FrameSet:
+    """Read every row of one file, numbered from 0; see `collect_frames`."""
+    return collect_frames(path, {row: (path, partial(read, row)) for row in range(count)})
+
+
+def collect_frames(source: Path, readers: Mapping[int, tuple[Path, Reader]]) -> FrameSet:
+    """Read all frames and keep those whose arrays have the shapes, and the size, that most frames have.
 
     Args:
         source: The folder, for messages.
-        files: Files by frame number.
-        read: Reads one of them.
+        readers: The file that every frame comes from, for messages, and what reads it, by frame number.
 
     Raises:
         InputError: More than half of the frames cannot be used; the message is that of the first one.
@@ -56,25 +70,25 @@ def read_frames(source: Path, files: Mapping[int, Path], read: Callable[[Path, A
     frames: dict[int, Frame] = {}
     errors: dict[int, InputError] = {}
     assumed: Counter[str] = Counter()
-    for number, path in files.items():
+    for number, (_, read) in readers.items():
         here: set[str] = set()
         try:
-            frames[number] = read(path, here.add)
+            frames[number] = read(here.add)
             assumed.update(here)
         except InputError as error:
             errors[number] = error
     usual = Counter(_signature(frame) for frame in frames.values()).most_common(1)
     for number in [number for number, frame in frames.items() if _signature(frame) != usual[0][0]]:
         errors[number] = InputError(
-            f"{files[number]}: expected the sizes of most other frames, found {_signature_text(frames.pop(number))}; "
-            "track the video in a single run"
+            f"{readers[number][0]}: expected the sizes of most other frames, found "
+            f"{_signature_text(frames.pop(number))}; track the video in a single run"
         )
-    if not frames or len(errors) > MAX_BAD_SHARE * len(files):
-        raise next(iter(errors.values())) if errors else InputError(f"{source}: expected frames, found none")
+    if not frames or len(errors) > MAX_BAD_SHARE * len(readers):
+        raise errors[min(errors)] if errors else InputError(f"{source}: expected frames, found none")
     numbers = tuple(sorted(frames))
     notes = [text if count == len(frames) else f"{text} (in {count} frames)" for text, count in assumed.items()]
     if errors:
-        notes.insert(0, f"{left_out_text(list(errors), len(files))}, the first since {errors[min(errors)]}")
+        notes.insert(0, f"{left_out_text(list(errors), len(readers))}, the first since {errors[min(errors)]}")
     return FrameSet(numbers, tuple(frames[number] for number in numbers), tuple(notes))
 
 

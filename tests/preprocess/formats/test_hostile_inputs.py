@@ -80,13 +80,24 @@ def test_videos(tmp_path, container):
     refused_mutants(path, path.read_bytes(), read, 5)
 
 
+def write_any(name, target):
+    """Write a clip of three frames that the format can hold."""
+    moving = moving_record(3)
+    moving.joint_rotations[:, :2] = 0
+    for record in (moving, weak_perspective(3)):
+        try:
+            importer(name).write(target, record)
+        except InputError:
+            continue
+        return
+    pytest.fail(f"{name} can hold neither of the clips")
+
+
 @pytest.mark.parametrize("name", importer_names())
 def test_importers(tmp_path, name):
     """Every text and binary file of every format in turn; values as well as bytes."""
-    record = weak_perspective(3) if name == "deca" else moving_record(3)
-    record.joint_rotations[:, :2] = 0
     target = tmp_path / ("tracking.npz" if name == "npz" else name)
-    importer(name).write(target, record)
+    write_any(name, target)
     files = [target] if target.is_file() else sorted(path for path in target.rglob("*") if path.is_file())
     kinds = {path.suffix: path for path in files}
     for seed, path in enumerate(kinds.values()):
