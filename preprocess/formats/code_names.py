@@ -35,9 +35,7 @@ def frame_names(source: object, names: Sequence[str]) -> tuple[dict[int, str], t
     for numbers, name in ordered:
         chosen.setdefault(numbers[frame], name)
     if len(chosen) < len(names) and face == frame:
-        raise InputError(
-            f"{source}: expected one code for every frame number, found several with the same; rename them"
-        )
+        raise InputError(f"{source}: expected every frame number once, found one several times; rename the codes")
     lost = len(names) - len(chosen)
     return chosen, (f"of several faces or cameras in a frame the first is taken ({lost} others)",) if lost else ()
 

@@ -57,7 +57,7 @@ def importer(name: str) -> Importer:
 
 
 def detect_format(path: Path) -> str:
-    """The name of the format of a file or folder, found by its content; `InputError` if none or several recognize it."""
+    """The format of a file or folder, found by its content; `InputError` if none or several recognize it."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; --tracking expects the output of another tracker")
     found = [name for name in importer_names() if importer(name).recognizes(path)]

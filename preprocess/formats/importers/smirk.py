@@ -1,7 +1,7 @@
-"""SMIRK's output under its encoder's own names: pose_params, cam, shape_params, expression_params, eyelid_params, jaw_params.
+"""SMIRK's output under its encoder's own names, such as pose_params and expression_params.
 
-SMIRK's demo saves no codes, so people save its dictionary: one npz, pickle or torch file for every image, or one for the
-whole clip. The camera is DECA's, weak-perspective on a 224 px crop; eyelids are metrical-tracker's.
+SMIRK's demo saves no codes, so people save its dictionary: one npz, pickle or torch file for every image, or one for
+the whole clip. The camera is DECA's, weak-perspective on a 224 px crop; eyelids are metrical-tracker's.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """EMOCA, EMICA and SMIRK codes as people have them: the names of folders, faces, single files, damaged ones.
 
 Reference: the projection of DECA's family, s (X + tx) and −s (Y + ty) in halves of the 224 px crop. Also covers
-`preprocess/formats/importers/deca.py`, `preprocess/formats/importers/emica.py`, `preprocess/formats/importers/smirk.py`,
-`preprocess/formats/array_files.py`.
+`preprocess/formats/importers/deca.py`, `preprocess/formats/importers/emica.py`,
+`preprocess/formats/importers/smirk.py`, `preprocess/formats/weak_perspective.py`, `preprocess/formats/array_files.py`,
+`preprocess/formats/code_names.py`.
 """
 
 from __future__ import annotations
