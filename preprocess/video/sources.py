@@ -6,7 +6,8 @@ from pathlib import Path
 
 from ggavatar.errors import InputError
 from preprocess.video.frame import FrameSource
-from preprocess.video.image_folder import ImageFolder
+from preprocess.video.image_folder import ImageFolder, numbered_images
+from preprocess.video.listed_images import ListedImages, listed_images
 from preprocess.video.stored_images import StoredImages, stored_images
 
 
@@ -14,7 +15,7 @@ def open_source(path: Path, fps: float | None = None) -> FrameSource:
     """A video file or an image folder as a frame source.
 
     Args:
-        path: The file or folder; a folder of flame-head-tracker's npz files is one of images too.
+        path: The file or folder; also a folder of flame-head-tracker's npz files, or one with VHAP's transforms.json.
         fps: Frame rate of an image folder; 25 if None.
 
     Raises:
@@ -23,7 +24,18 @@ def open_source(path: Path, fps: float | None = None) -> FrameSource:
     from preprocess.video.decoding import Video
 
     if path.is_dir():
-        return StoredImages(path, fps or 25.0) if stored_images(path) else ImageFolder(path, fps or 25.0)
+        return _folder(path, fps or 25.0)
     if not path.exists():
         raise InputError(f"{path}: no such file; give a video or a folder of PNG or JPEG images")
     return Video(path)
+
+
+def _folder(path: Path, fps: float) -> FrameSource:
+    """The images in a folder, or those that a tracker stored or listed there."""
+    if not numbered_images(path):
+        if stored_images(path):
+            return StoredImages(path, fps)
+        listed = listed_images(path)
+        if listed:
+            return ListedImages(path, listed, fps)
+    return ImageFolder(path, fps)

@@ -17,7 +17,7 @@ KEY = "img"
 
 
 def stored_images(folder: Path) -> dict[int, Path]:
-    """Npz files with a image, by the number that is their name, ascending; none if the folder has no such files."""
+    """Npz files with an image, by the number that is their name, ascending; none if the folder has no such files."""
     files = {int(path.stem): path for path in folder.glob("*.npz") if path.stem.isdecimal() and len(path.stem) < 10}
     for path in sorted(files.values())[:3]:
         try:
@@ -32,7 +32,7 @@ class StoredImages:
     """The images of a folder of npz files.
 
     Raises:
-        InputError: No npz file with a image.
+        InputError: No npz file with an image.
     """
 
     def __init__(self, path: Path, fps: float) -> None:
@@ -41,7 +41,7 @@ class StoredImages:
         self._errors: list[str] = []
         self._files = stored_images(path)
         if not self._files:
-            raise InputError(f"{path}: expected npz files with a image under {KEY!r}, found none; give a video")
+            raise InputError(f"{path}: expected npz files with an image under {KEY!r}, found none; give a video")
 
     def frames(self) -> Iterator[DecodedFrame]:
         """All images in order of their numbers; files without one are left out and listed by `decode_errors`."""
@@ -68,9 +68,7 @@ def _size(path: Path) -> tuple[int, int]:
     header = npz_headers(path).get(KEY)
     shape = () if header is None else header.shape
     if header is None or header.dtype != np.uint8 or shape[-1:] != (3,) or len(shape) not in (3, 4):
-        raise InputError(
-            f"{path}: expected a image of 8-bit RGB under {KEY!r}, found {shape or 'none'}; track it again"
-        )
+        raise InputError(f"{path}: expected an 8-bit RGB image under {KEY!r}, found {shape or 'none'}; track it again")
     if (len(shape) == 4 and shape[0] != 1) or not all(1 <= side <= 8192 for side in shape[-3:-1]):
         raise InputError(f"{path}: expected one image of at most 8192 px, found {shape}; track the video again")
     return shape[-3], shape[-2]

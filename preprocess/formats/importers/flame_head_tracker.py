@@ -79,7 +79,7 @@ def _read_frame(path: Path, assume: Assume) -> Frame:
     intrinsics = table.array(("K",), (3, 3))
     if not SIDE / 4 < intrinsics[0, 2] < SIDE * 3 / 4:
         raise InputError(
-            f"{path}: expected 'K' of a image of {SIDE} px, found a principal point at {intrinsics[0, 2]:.0f} px; "
+            f"{path}: expected 'K' of an image of {SIDE} px, found a principal point at {intrinsics[0, 2]:.0f} px; "
             "track the video with version 4 or newer"
         )
     joints = np.zeros((5, 3))

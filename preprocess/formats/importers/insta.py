@@ -21,6 +21,7 @@ from ggavatar.geometry.transforms import (
     rotation_6d_to_matrix,
 )
 from ggavatar.io.atomic import write_text
+from ggavatar.io.inner_paths import path_inside
 from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import (
     camera_matrix,
@@ -30,7 +31,6 @@ from preprocess.formats.json_fields import (
     invert_pose,
     last_number,
     number_array,
-    path_inside,
 )
 from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
 

@@ -157,9 +157,10 @@ def test_vhap_keeps_static_offsets_and_reads_the_first_camera(tmp_path):
 def test_real_vhap_files_are_read(data_folder):
     for subject in ("253", "460"):
         path = data_folder / "tracking" / "vhap_nersemble" / subject / "flame_param" / "00000.npz"
-        values = vhap._parameters(path)
-        assert values["shape"].shape == (300,) and values["static_offset"].shape == (1, 5143, 3)
-        assert np.abs(vhap._joints(values)).max() < np.pi
+        values = vhap.parameters(path, lambda _: None)
+        assert values["shape"].shape == (300,) and values["expression"].shape == (100,)
+        assert vhap._static_offset(path)["static_offset"].shape == (5143, 3)
+        assert np.abs(values["joint_rotations"]).max() < np.pi
 
 
 def test_imavatar_traps(tmp_path):
