@@ -72,10 +72,8 @@ def read(folder: Path) -> TrackingRecord:
         number: path_inside(path, frame.get("flame_param_path"), siblings=True)
         for number, (path, frame) in chosen.items()
     }
-    frames = collect_frames(
-        folder,
-        {number: (files[number], partial(_read_entry, *chosen[number], files[number])) for number in sorted(chosen)},
-    )
+    readers = {number: (file, partial(_read_entry, *chosen[number], file)) for number, file in sorted(files.items())}
+    frames = collect_frames(folder, readers)
     height, width = frames.stacked("size")[0]
     notes = [f"camera {camera} of {len(cameras)} is used"] if len(cameras) > 1 else []
     record = TrackingRecord(

@@ -19,7 +19,7 @@ from ggavatar.io.npz import read_npz
 from preprocess.formats.registry import importer, importer_names
 from preprocess.video.sources import open_source
 from tests.support.mutations import COUNT, check_value_mutations, refused_mutants
-from tests.support.synthetic_clip import moving_record, weak_perspective, write_video
+from tests.support.synthetic_clip import moving_record, sheap_record, still_camera, weak_perspective, write_video
 
 
 @pytest.fixture(autouse=True)
@@ -80,17 +80,23 @@ def test_videos(tmp_path, container):
     refused_mutants(path, path.read_bytes(), read, 5)
 
 
+def at_rest(size):
+    """A clip whose head does not move in its own coordinates."""
+    record = moving_record(3, size)
+    record.joint_rotations[:, :2] = 0
+    return record
+
+
 def write_any(name, target):
     """Write a clip of three frames that the format can hold."""
-    moving = moving_record(3)
-    moving.joint_rotations[:, :2] = 0
-    for record in (moving, weak_perspective(3)):
+    still = still_camera(3, (96, 96), 300.0)
+    for record in (*map(at_rest, ((96, 96), (512, 512))), weak_perspective(3), still, sheap_record(3)):
         try:
             importer(name).write(target, record)
         except InputError:
             continue
         return
-    pytest.fail(f"{name} can hold neither of the clips")
+    pytest.fail(f"{name} can hold none of the clips; add one such as its tracker makes")
 
 
 @pytest.mark.parametrize("name", importer_names())

@@ -22,27 +22,12 @@ from preprocess.formats.importers import vhap, vhap_tracked
 from preprocess.formats.registry import detect_format
 from preprocess.tracking.geometry.projection import posed_vertices, project
 from preprocess.video.sources import open_source
-from tests.support.synthetic_clip import as_tracking, ball_head, moving_record
-
-STILL = np.diag([1.0, -1.0, -1.0, 1.0]) + np.array([[0.0] * 4, [0.0] * 4, [0, 0, 0, 1], [0.0] * 4])
+from tests.support.synthetic_clip import as_tracking, ball_head, still_camera
 
 
 def posed_by_flame(count, size=(96, 96)):
-    """A clip seen by VHAP's one camera, its center at the middle, moved by FLAME's root and translation."""
-    record = moving_record(count, size)
-    joints = record.joint_rotations.copy()
-    joints[:, 0] = [[0.1, 0.2 * np.sin(row), 0.05] for row in range(count)]
-    joints[:, 1] = [0.02, -0.1, 0.0]
-    focal = 3.2 * size[1]
-    intrinsics = np.tile(np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]]), (count, 1, 1))
-    return dataclasses.replace(
-        record,
-        joint_rotations=joints,
-        translation=np.array([[0.01 * np.cos(row), 0.002 * row, 0.0] for row in range(count)]),
-        world_to_camera=np.tile(STILL, (count, 1, 1)),
-        intrinsics=intrinsics,
-        eyelids=np.zeros((count, 2)),
-    )
+    """A clip such as VHAP's files can hold."""
+    return dataclasses.replace(still_camera(count, size, 3.2 * size[1]), eyelids=np.zeros((count, 2)))
 
 
 def pixels(record, row):
@@ -132,10 +117,10 @@ def test_the_export_itself_is_a_source_of_images(tmp_path):
     assert len(list(open_source(tmp_path / "306_EXP-1").frames())) == 4
 
 
-@pytest.mark.parametrize(
-    "target",
-    ["../../secret.npz", "../secret.npz", "../306_EXP-0/../../secret.npz", "../link/secret.npz", "/etc/passwd"],
-)
+OUTSIDE = ["../../secret.npz", "../secret.npz", "../306_EXP-0/../../secret.npz", "../link/secret.npz", "/etc/passwd"]
+
+
+@pytest.mark.parametrize("target", OUTSIDE)
 def test_union_paths_stay_in_the_parent(tmp_path, target):
     """The parent's own files, files above it, and links that lead out of it are refused, by name."""
     place = tmp_path / "data"
