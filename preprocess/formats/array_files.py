@@ -6,13 +6,12 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ggavatar.errors import InputError
-from ggavatar.io.npz import npz_headers, read_npz
+from ggavatar.io.npz import npz_headers, read_npy, read_npz
 from ggavatar.io.restricted_pickle import read_pickle
 
 MAX_NPY_BYTES = 1 << 20
+"""Largest file of coefficients; detailed textures are not read."""
 
 
 def array_names(path: Path) -> frozenset[str]:
@@ -38,26 +37,15 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, Any]:
         InputError: Nothing of the kind, damaged, too large, or it holds objects that could run code.
     """
     if path.is_dir():
-        return {name: read_npy(path / f"{name}.npy") for name in names if (path / f"{name}.npy").is_file()}
+        return {
+            name: read_npy(path / f"{name}.npy", MAX_NPY_BYTES) for name in names if (path / f"{name}.npy").is_file()
+        }
     if path.is_file() and _is_pickle(path):
         content = read_pickle(path)
         if not isinstance(content, Mapping):
             raise InputError(f"{path}: expected a dictionary of arrays, found {type(content).__name__}; save it again")
         return {name: content[name] for name in names if name in content}
     return dict(read_npz(path, names))
-
-
-def read_npy(path: Path) -> np.ndarray:
-    """A small npy file without Python objects; `InputError` for anything else."""
-    if path.stat().st_size > MAX_NPY_BYTES:
-        raise InputError(f"{path}: expected coefficients of at most 1 MiB, found {path.stat().st_size >> 20} MiB")
-    try:
-        value = np.load(path, allow_pickle=False, max_header_size=10_000)
-    except (ValueError, EOFError, OSError, MemoryError) as error:
-        raise InputError(f"{path}: expected an array of numbers ({error}); save it again") from error
-    if not isinstance(value, np.ndarray):
-        raise InputError(f"{path}: expected an array, found an archive; save it again")
-    return value
 
 
 def _head(path: Path) -> bytes:

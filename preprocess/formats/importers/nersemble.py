@@ -20,7 +20,7 @@ from ggavatar.io.npz import read_npz, write_npz
 from preprocess.formats.array_files import array_names
 from preprocess.formats.array_table import ArrayTable
 from preprocess.formats.json_fields import number_array
-from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
+from preprocess.formats.tracking_record import MAX_MAGNITUDE, TrackingRecord, without_bad_frames
 
 TITLE = "NeRSemble benchmark: flame2023_tracking_v2.npz with calibration/camera_params.json in a folder above it"
 TRAINING_CAMERA = "222200037"
@@ -136,10 +136,12 @@ def _camera(file: Path) -> tuple[np.ndarray, np.ndarray, str]:
         raise InputError(f"{path}: expected cameras by serial number under 'world_2_cam'; download the file again")
     serial = TRAINING_CAMERA if TRAINING_CAMERA in poses else min(poses)
     pose = number_array(path, poses[serial], (4, 4), f"'world_2_cam' of {serial}")
-    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-3:
+    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-3 or np.abs(pose).max() > MAX_MAGNITUDE:
         raise InputError(f"{path}: expected a rigid pose of camera {serial} in 'world_2_cam'; download the file again")
     shared: Any = intrinsics.get(serial) if isinstance(intrinsics, Mapping) else intrinsics
     matrix = number_array(path, shared, (3, 3), f"'intrinsics' of {serial}")
+    if np.abs(matrix).max() > MAX_MAGNITUDE:
+        raise InputError(f"{path}: expected 'intrinsics' of camera {serial} in px, found others; download it again")
     return matrix, pose, f"camera {serial} of {len(poses)} is used: INPUT is images/cam_{serial}.mp4"
 
 
