@@ -37,9 +37,8 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, Any]:
         InputError: Nothing of the kind, damaged, too large, or it holds objects that could run code.
     """
     if path.is_dir():
-        return {
-            name: read_npy(path / f"{name}.npy", MAX_NPY_BYTES) for name in names if (path / f"{name}.npy").is_file()
-        }
+        files = {name: path / f"{name}.npy" for name in names}
+        return {name: read_npy(file, MAX_NPY_BYTES) for name, file in files.items() if file.is_file()}
     if path.is_file() and _is_pickle(path):
         content = read_pickle(path)
         if not isinstance(content, Mapping):

@@ -41,10 +41,14 @@ def recognizes(path: Path) -> bool:
 
 
 def _file(path: Path) -> Path | None:
-    found = [path]
-    if path.is_dir():
-        found = [file for place in (path, path / "tracking") for file in sorted(place.glob("*.npz"), reverse=True)]
-    return next((file for file in found[:100] if array_names(file) >= _NEEDED), None)
+    return next((file for file in _candidates(path) if array_names(file) >= _NEEDED), None)
+
+
+def _candidates(path: Path) -> list[Path]:
+    """The file itself, or the npz files in a sequence's folder; the newest version of the tracking comes first."""
+    if not path.is_dir():
+        return [path]
+    return [file for place in (path, path / "tracking") for file in sorted(place.glob("*.npz"), reverse=True)][:100]
 
 
 def read(path: Path) -> TrackingRecord:
@@ -53,7 +57,7 @@ def read(path: Path) -> TrackingRecord:
     Raises:
         InputError: Not such a file, no calibration in a folder above it, or rotations that contradict each other.
     """
-    file = _file(path) or path
+    file = _file(path) or next(iter(_candidates(path)), path)
     notes: list[str] = []
     table = ArrayTable(file, read_npz(file, _KEYS), notes.append, batched=False)
     count = len(table.array(("expression",), (None, None)))

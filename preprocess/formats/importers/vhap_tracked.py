@@ -34,13 +34,18 @@ def recognizes(path: Path) -> bool:
 
 
 def _file(path: Path) -> Path | None:
-    """The file itself, or the newest result in VHAP's output folder."""
-    files = sorted(path.glob("*.npz"), key=lambda file: file.stat().st_mtime) if path.is_dir() else [path]
-    for file in reversed(files[-100:]):
+    for file in _candidates(path):
         names = array_names(file)
         if names >= _NEEDED and names & _MARKS:
             return file
     return None
+
+
+def _candidates(path: Path) -> list[Path]:
+    """The file itself, or the results in VHAP's output folder, the newest first."""
+    if not path.is_dir():
+        return [path]
+    return sorted(path.glob("*.npz"), key=lambda file: (file.stat().st_mtime, file.name), reverse=True)[:100]
 
 
 def read(path: Path) -> TrackingRecord:
@@ -49,7 +54,7 @@ def read(path: Path) -> TrackingRecord:
     Raises:
         InputError: Not such a file, or it has no focal length, as those of calibrated clips.
     """
-    file = _file(path) or path
+    file = _file(path) or next(iter(_candidates(path)), path)
     notes: list[str] = [] if file == path else [f"{file.name} is read, the newest in the folder"]
     values = read_npz(file, _KEYS)
     table = ArrayTable(file, values, notes.append, batched=False)
