@@ -14,9 +14,9 @@ _FRAME_AND_FACE = re.compile(r"^\d+_\d{2,3}$")
 def frame_names(source: object, names: Sequence[str]) -> tuple[dict[int, str], tuple[str, ...]]:
     """Names by frame number, ascending, and notes on what was assumed.
 
-    Of names with the same text around their numbers, the first number that differs between them is the frame's; a
-    second one that differs is that of a face or camera in the frame, of which the lowest is taken. Other names are
-    numbered by their last number.
+    Names with the same text around their numbers: the first number that differs between them is the frame's; a second
+    one that differs is that of a face or camera in the frame, of which the lowest is taken. Other names are numbered by
+    their last number.
 
     Args:
         source: The folder, for messages.

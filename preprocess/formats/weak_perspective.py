@@ -53,7 +53,7 @@ def read_codes(
 def weak_pose(path: Path, camera: np.ndarray) -> np.ndarray:
     """World-to-camera of a weak-perspective camera (scale, tx, ty); `InputError` unless the scale is positive.
 
-    In the crop, x = s (X + tx) and y = −s (Y + ty), both in units of half its side.
+    x = s (X + tx) and y = −s (Y + ty) in units of half the crop's side.
     """
     scale, shift_x, shift_y = camera
     if not 0.01 < scale < 1000:

@@ -1,6 +1,6 @@
 """EMICA codes (inferno): per image a folder of npy files with shape, exp, jawpose, globalpose and cam.
 
-As DECA's, but with the pose in two files. The model's folder name tells which FLAME it was trained with: 2020 unless it
+They are DECA's with the pose in two files. The model's folder name tells which FLAME it was trained with: 2020 unless it
 says otherwise; a FLAME without jaw is refused. inferno writes the codes only with `--save_codes True`.
 """
 

@@ -1,6 +1,7 @@
 """`.frame` files as people have them: tensors, no batch axis, other names, no `opencv`, damaged ones among good ones.
 
-Reference: the same clip as metrical-tracker itself writes it. Also covers `preprocess/formats/frame_files.py`.
+Reference: the same clip as metrical-tracker itself writes it. Also covers
+`preprocess/formats/frame_files.py`, `preprocess/formats/frame_set.py`, `preprocess/formats/array_table.py`.
 """
 
 from __future__ import annotations
