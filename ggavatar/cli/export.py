@@ -16,6 +16,7 @@ from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 
+SUBMISSION = "nersemble-submission"
 RUN_FORMATS = ("ply", "splat", "spz", "gaussian-avatars")
 _NEXT_STEPS = {
     "vhap": "in GaussianAvatars: python train.py -s {path} --bind_to_mesh --white_background",
@@ -28,7 +29,7 @@ class Arguments:
     """Write a trained avatar for viewers and other programs, or a capture for other trainers."""
 
     source: Positional[Path]
-    """Run folder written by ggavatar-train, or capture folder written by ggavatar-prep."""
+    """Run folder of ggavatar-train, capture folder of ggavatar-prep, or (nersemble-submission) folder of renderings."""
     format: str = "ply"
     """Of a run: ply, splat, spz (for viewers) or gaussian-avatars (bound to the mesh). Of a capture: see above."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
@@ -60,20 +61,36 @@ def _description() -> str:
     layouts = ", ".join(capture_formats()) or "none installed"
     return (
         f"{Arguments.__doc__}\n\nFormats of a capture: {layouts}.\n"
+        f"Of rendered frames: {SUBMISSION} (NeRSemble's benchmark).\n"
         "Examples: ggavatar-export runs/me --format spz, ggavatar-export data/me --format vhap"
     )
 
 
 def _export(arguments: Arguments) -> int:
     """Export a run or a capture, depending on the format, and print what was written."""
-    known = (*RUN_FORMATS, *capture_formats())
+    known = (*RUN_FORMATS, *capture_formats(), SUBMISSION)
     kind = arguments.format
     if kind not in known:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
-    lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
+    if kind == SUBMISSION:
+        lines = _export_submission(arguments)
+    else:
+        lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
+
+
+def _export_submission(arguments: Arguments) -> list[str]:
+    """Pack rendered frames into the zip that NeRSemble's benchmark takes."""
+    from ggavatar.formats.nersemble_submission import write_submission
+
+    path = arguments.output or arguments.source.resolve().with_suffix(".zip")
+    written = write_submission(arguments.source, path, arguments.overwrite)
+    lines = [f"wrote {written.path} ({len(written.videos)} videos, {written.frames} frames)"]
+    if written.missing:
+        lines.append(f"note: a complete submission has {len(written.missing)} more, such as {written.missing[0]}")
+    return lines
 
 
 def _export_capture(arguments: Arguments) -> list[str]:

@@ -161,7 +161,7 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
     return ArrayHeader(tuple(shape), dtype)
 
 
-def _read_header(stream: io.BufferedIOBase) -> ArrayHeader:
+def _read_header(stream: IO[bytes] | io.BufferedIOBase) -> ArrayHeader:
     """Shape and type at the start of an npy stream; any of `MALFORMED` if there is no such header."""
     version = npy.read_magic(stream)
     reader = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)

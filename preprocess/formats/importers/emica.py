@@ -1,7 +1,7 @@
 """EMICA codes (inferno): per image a folder of npy files with shape, exp, jawpose, globalpose and cam.
 
-They are DECA's with the pose in two files. The model's folder name tells which FLAME it was trained with: 2020 unless it
-says otherwise; a FLAME without jaw is refused. inferno writes the codes only with `--save_codes True`.
+They are DECA's with the pose in two files. The model's folder name tells which FLAME it was trained with: 2020 unless
+it says otherwise; a FLAME without jaw is refused. inferno writes the codes only with `--save_codes True`.
 """
 
 from __future__ import annotations
