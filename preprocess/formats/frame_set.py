@@ -12,7 +12,7 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from preprocess.formats.array_table import Assume
-from preprocess.formats.tracking_record import MAX_BAD_SHARE, left_out_text
+from preprocess.formats.tracking_record import MAX_BAD_SHARE, MAX_MAGNITUDE, left_out_text
 
 Frame = Mapping[str, np.ndarray]
 """Arrays of one frame by name; "size", if there, is the (height, width) of its image."""
@@ -70,10 +70,10 @@ def collect_frames(source: Path, readers: Mapping[int, tuple[Path, Reader]]) -> 
     frames: dict[int, Frame] = {}
     errors: dict[int, InputError] = {}
     assumed: Counter[str] = Counter()
-    for number, (_, read) in readers.items():
+    for number, (path, read) in readers.items():
         here: set[str] = set()
         try:
-            frames[number] = read(here.add)
+            frames[number] = _checked(path, read(here.add))
             assumed.update(here)
         except InputError as error:
             errors[number] = error
@@ -90,6 +90,16 @@ def collect_frames(source: Path, readers: Mapping[int, tuple[Path, Reader]]) -> 
     if errors:
         notes.insert(0, f"{left_out_text(list(errors), len(readers))}, the first since {errors[min(errors)]}")
     return FrameSet(numbers, tuple(frames[number] for number in numbers), tuple(notes))
+
+
+def _checked(path: Path, frame: Frame) -> Frame:
+    """The frame, unchanged; `InputError` if a number in it is not finite or larger than any that a portrait has."""
+    for name, value in frame.items():
+        if not (np.abs(value) < MAX_MAGNITUDE).all():
+            raise InputError(
+                f"{path}: {name} is NaN, infinite or above 10⁶ in magnitude; track the frame again or leave it out"
+            )
+    return frame
 
 
 def _signature(frame: Frame) -> tuple[tuple[str, tuple[int, ...]], ...]:

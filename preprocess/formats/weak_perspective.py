@@ -78,8 +78,6 @@ def weak_record(
 ) -> TrackingRecord:
     """The record of frames with "pose", "joints", "expression", "eyelids" and "shape"; the identity is their mean."""
     count = len(frames.numbers)
-    shapes = frames.stacked("shape")
-    good = np.isfinite(shapes).all(axis=1)
     record = TrackingRecord(
         numbers=np.array(frames.numbers, dtype=np.int64),
         width=SIDE,
@@ -90,7 +88,7 @@ def weak_record(
         joint_rotations=frames.stacked("joints"),
         eyelids=frames.stacked("eyelids"),
         translation=np.zeros((count, 3)),
-        shape=shapes[good].mean(axis=0) if good.any() else shapes[0],
+        shape=frames.stacked("shape").mean(axis=0),
         version=version,
         notes=(
             *frames.notes,

@@ -46,8 +46,6 @@ def read(path: Path) -> TrackingRecord:
     count = len(frames.numbers)
     focal = SIDE / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
     lids = frames.stacked("eyelids")
-    shapes = frames.stacked("shape")
-    good = np.isfinite(shapes).all(axis=1)
     record = TrackingRecord(
         numbers=np.array(frames.numbers, dtype=np.int64),
         width=SIDE,
@@ -58,7 +56,7 @@ def read(path: Path) -> TrackingRecord:
         joint_rotations=frames.stacked("joints"),
         eyelids=lids,
         translation=frames.stacked("translation"),
-        shape=shapes[good].mean(axis=0) if good.any() else shapes[0],
+        shape=frames.stacked("shape").mean(axis=0),
         notes=(
             *frames.notes,
             *notes,

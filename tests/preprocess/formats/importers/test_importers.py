@@ -226,11 +226,28 @@ def test_a_frame_with_nan_is_left_out(tmp_path):
     folder = tmp_path / "nan"
     metrical_tracker.write(folder, record)
     found = metrical_tracker.read(folder)
-    assert found.numbers.tolist() == [0, 1, 3] and any("of frame 2 is NaN" in note for note in found.notes)
+    assert found.numbers.tolist() == [0, 1, 3] and "00002.frame: world_to_camera is NaN" in found.notes[0]
     record.world_to_camera[:3, 0, 3] = np.inf
     metrical_tracker.write(folder, record)
-    with pytest.raises(InputError, match="of frame 0 is NaN, infinite or above 10⁶ in magnitude, and so in 3 of 4"):
+    with pytest.raises(InputError, match=r"00000\.frame: world_to_camera is NaN, infinite or above 10⁶ in magnitude"):
         metrical_tracker.read(folder)
+
+
+def test_a_row_with_nan_is_left_out(tmp_path):
+    """The same for formats with all frames in one file."""
+    record = moving_record(4)
+    record.expression[1, 2] = np.nan
+    importer("npz").write(tmp_path / "x.npz", record)
+    found = importer("npz").read(tmp_path / "x.npz")
+    assert found.numbers.tolist() == [0, 2, 3] and "frame 1 of the tracking cannot be used" in found.notes[0]
+    record.expression[1] = 1e7
+    importer("npz").write(tmp_path / "x.npz", record)
+    found = importer("npz").read(tmp_path / "x.npz")
+    assert found.numbers.tolist() == [0, 2, 3] and "expression of frame 1 is NaN, infinite or above" in found.notes[0]
+    record.expression[:3] = 1e7
+    importer("npz").write(tmp_path / "x.npz", record)
+    with pytest.raises(InputError, match=r"expression of frame 0 is NaN, .* and so in 3 of 4 frames"):
+        importer("npz").read(tmp_path / "x.npz")
 
 
 def test_options_swap_the_size(tmp_path):

@@ -70,7 +70,7 @@ def test_of_several_faces_the_first_is_taken(tmp_path):
     assert found.expression[:, 0].tolist() == [0, 11, 20] and "1 others" in found.notes[0]
 
 
-@pytest.mark.parametrize("fault", ["object", "missing", "scale", "text"])
+@pytest.mark.parametrize("fault", ["object", "missing", "scale", "text", "identity"])
 def test_one_bad_code_is_left_out(tmp_path, fault):
     for number in range(4):
         emoca_folder(tmp_path / f"{number:06d}_000")
@@ -81,6 +81,8 @@ def test_one_bad_code_is_left_out(tmp_path, fault):
         (bad / "cam.npy").unlink()
     elif fault == "scale":
         np.save(bad / "cam.npy", np.zeros(3))
+    elif fault == "identity":
+        np.save(bad / "shape.npy", np.full(100, 1e30, np.float32))
     else:
         (bad / "exp.npy").write_text("text")
     found = deca.read(tmp_path)
