@@ -39,8 +39,8 @@ class PrepOptions:
     format: str = "auto"
     """Format of `--tracking`: one of the names listed above, or auto to detect it."""
 
-    head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"], metavar="FILE")] = None
-    """Head model of `--tracking` (required with it): head.npz, or FLAME's generic_model.pkl, flame2023.pkl or npz.
+    head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"], metavar="PATH")] = None
+    """Head model of `--tracking` (required with it): head.npz, FLAME (pkl or npz), GNM (npz) or ICT-FaceKit (folder).
 
     If `--tracking` is not given, the built-in tracker fits this FLAME model.
     """

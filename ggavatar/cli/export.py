@@ -18,6 +18,7 @@ from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.file_kinds import SUFFIXES
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 
+SUBMISSION = "nersemble-submission"
 SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
 RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars")
 _NEXT_STEPS = {
@@ -31,7 +32,8 @@ class Arguments:
     """Write a trained avatar or a file of Gaussians for other programs, or a capture for other trainers."""
 
     source: Positional[Path]
-    """Run folder of ggavatar-train, FILE of Gaussians (PLY, .splat, .spz, SOG), or capture folder of ggavatar-prep."""
+    """Run folder of ggavatar-train, FILE of Gaussians (PLY, .splat, .spz, SOG), capture folder of ggavatar-prep, or
+    (nersemble-submission) folder of renderings."""
     format: str | None = None
     """Of a run: ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz or
     glb; of a capture: see above. By default that of the suffix of --output, else ply."""
@@ -77,6 +79,7 @@ def _description() -> str:
     layouts = ", ".join(capture_formats()) or "none installed"
     return (
         f"{Arguments.__doc__}\n\nFormats of a capture: {layouts}.\n"
+        f"Of rendered frames: {SUBMISSION} (NeRSemble's benchmark).\n"
         "Examples: ggavatar-export runs/me --format spz, ggavatar-export face.sog -o face.glb, "
         "ggavatar-export data/me --format vhap"
     )
@@ -84,12 +87,14 @@ def _description() -> str:
 
 def _export(arguments: Arguments) -> int:
     """Export a run, a file or a capture, depending on the format, and print what was written."""
-    known = (*RUN_FORMATS, *capture_formats())
+    known = (*RUN_FORMATS, *capture_formats(), SUBMISSION)
     kind = arguments.kind
     if kind not in known:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
-    if is_gaussian_file(arguments.source):
+    if kind == SUBMISSION:
+        lines = _export_submission(arguments)
+    elif is_gaussian_file(arguments.source):
         lines = _export_file(arguments)
     else:
         lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
@@ -116,6 +121,18 @@ def _export_file(arguments: Arguments) -> list[str]:
         *notes,
         f"next: {_next_step_for_splats(path, kind, 1)}",
     ]
+
+
+def _export_submission(arguments: Arguments) -> list[str]:
+    """Pack rendered frames into the zip that NeRSemble's benchmark takes."""
+    from ggavatar.formats.nersemble_submission import write_submission
+
+    path = arguments.output or arguments.source.resolve().with_suffix(".zip")
+    written = write_submission(arguments.source, path, arguments.overwrite)
+    lines = [f"wrote {written.path} ({len(written.videos)} videos, {written.frames} frames)"]
+    if written.missing:
+        lines.append(f"note: a complete submission has {len(written.missing)} more, such as {written.missing[0]}")
+    return lines
 
 
 def _export_capture(arguments: Arguments) -> list[str]:

@@ -17,13 +17,15 @@ from jaxtyping import Float
 from ggavatar.errors import InputError
 from ggavatar.head.array_shapes import describe_shape, shape_fits
 from ggavatar.head.model import HeadModel
-from ggavatar.io.npz import read_npz
+from ggavatar.io.npz import read_npy, read_npz
 from ggavatar.io.restricted_pickle import read_pickle
 
 JOINT_NAMES = ("root", "neck", "jaw", "left_eye", "right_eye")
 IDENTITY_COEFFICIENTS = 300
 _KEYS = ("v_template", "f", "weights", "posedirs", "shapedirs", "J_regressor", "kintree_table")
 _LID_FILES = ("l_eyelid.npy", "r_eyelid.npy")
+MAX_LID_BYTES = 1 << 22
+"""Largest file of eyelid displacements; metrical-tracker's have 120 kB."""
 
 
 def load_flame(
@@ -62,8 +64,10 @@ def load_flame(
 
 
 def flame_version(path: Path) -> str:
-    """The version tag of a FLAME file: `flame2023` if its name contains 2023, else `flame2020` (generic_model.pkl)."""
-    return "flame2023" if "2023" in path.name else "flame2020"
+    """The version tag of a FLAME file by its name: `flame2023`, `flame2023-open`, or else `flame2020`."""
+    if "2023" not in path.name:
+        return "flame2020"
+    return "flame2023-open" if "open" in path.name.lower() else "flame2023"
 
 
 def is_flame(path: Path) -> bool:
@@ -144,18 +148,8 @@ def _eyelids(folder: Path, count: int) -> np.ndarray:
 
 
 def _lid(path: Path, count: int) -> np.ndarray:
-    try:
-        lid = np.load(path, allow_pickle=False, max_header_size=10_000)
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(
-            f"{path}: expected an array of eyelid displacements, found something else ({error})"
-        ) from error
-    if (
-        not isinstance(lid, np.ndarray)
-        or lid.shape != (count, 3)
-        or lid.dtype.kind != "f"
-        or not np.isfinite(lid).all()
-    ):
+    lid = read_npy(path, MAX_LID_BYTES)
+    if lid.shape != (count, 3) or lid.dtype.kind != "f" or not np.isfinite(lid).all():
         raise InputError(f"{path}: expected finite floating-point numbers of shape [{count}, 3]")
     return lid
 

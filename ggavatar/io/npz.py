@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import errno
+import io
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
@@ -27,6 +29,12 @@ A FLAME model takes 100 MB, an hour of tracking 50 MB.
 """
 
 MAX_MEMBERS = 4096
+
+MALFORMED = (
+    *(ValueError, TypeError, EOFError, OSError, SyntaxError, RuntimeError, MemoryError, NotImplementedError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+)
+"""What numpy and zipfile raise for damaged data; a header of an old npy file may even fail as Python's tokens."""
 
 
 class ArrayHeader(NamedTuple):
@@ -68,13 +76,35 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, np.n
     return arrays
 
 
+def read_npy(path: Path, max_bytes: int) -> np.ndarray:
+    """Read an npy file without ever unpickling.
+
+    Raises:
+        InputError: No such file, larger than `max_bytes`, damaged, or it holds Python objects.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: expected an npy file, found {'a folder' if path.is_dir() else 'none'}")
+    size = path.stat().st_size
+    if size > max_bytes:
+        raise InputError(f"{path}: expected an npy file of at most {max_bytes >> 10} KiB, found {size >> 10} KiB")
+    stream = io.BytesIO(path.read_bytes())
+    try:
+        shape, dtype = _read_header(stream)
+        if dtype.hasobject or prod(shape) * dtype.itemsize > size:
+            raise ValueError(f"Python objects, or a shape of {shape}" if dtype.hasobject else f"shape {shape}")
+        stream.seek(0)
+        return npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
+    except MALFORMED as error:
+        raise InputError(f"{path}: expected an array of numbers ({error}); create the file again") from error
+
+
 def _read_member(
     path: Path, archive: zipfile.ZipFile, name: str, header: ArrayHeader, info: zipfile.ZipInfo
 ) -> np.ndarray:
     try:
         with archive.open(info) as stream:
             array = npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError) as error:
+    except MALFORMED as error:
         raise InputError(f"{path}: array {name!r} cannot be read ({error}); create the file again") from error
     if array.shape != header.shape:
         raise InputError(f"{path}: array {name!r} changed its shape while it was read; create the file again")
@@ -115,32 +145,31 @@ def _members(path: Path, archive: zipfile.ZipFile) -> list[tuple[str, ArrayHeade
 def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> ArrayHeader:
     try:
         with archive.open(info) as stream:
-            version = npy.read_magic(stream)
-            reader = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
-            if reader is None:
-                raise ValueError(f"npy version {version}")
-            shape, _, dtype = reader(stream, max_header_size=10_000)
-    except (
-        ValueError,
-        EOFError,
-        OSError,
-        SyntaxError,
-        zipfile.BadZipFile,
-        zlib.error,
-        NotImplementedError,
-        RuntimeError,
-    ) as error:
+            shape, dtype = _read_header(stream)
+    except MALFORMED as error:
         raise InputError(f"{path}: entry {info.filename!r} is not an array ({error}); create the file again") from error
     if dtype.hasobject:
         raise InputError(
             f"{path}: array {info.filename!r} holds Python objects, which could run code; only plain numbers and "
             "text are read"
         )
-    if any(size < 0 for size in shape) or prod(shape) * dtype.itemsize > info.file_size:
+    if prod(shape) * dtype.itemsize > info.file_size:
         raise InputError(
             f"{path}: array {info.filename!r} claims shape {shape} but holds {info.file_size} bytes; the file is "
             "damaged"
         )
+    return ArrayHeader(tuple(shape), dtype)
+
+
+def _read_header(stream: IO[bytes] | io.BufferedIOBase) -> ArrayHeader:
+    """Shape and type at the start of an npy stream; any of `MALFORMED` if there is no such header."""
+    version = npy.read_magic(stream)
+    reader = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}.get(version)
+    if reader is None:
+        raise ValueError(f"npy version {version}")
+    shape, _, dtype = reader(stream, max_header_size=10_000)
+    if any(type(size) is not int or size < 0 for size in shape):
+        raise ValueError(f"shape {shape}")
     return ArrayHeader(tuple(shape), dtype)
 
 

@@ -1,8 +1,8 @@
-"""Read pickles (FLAME model files, metrical-tracker's `.frame`) without running any code that they name.
+"""Read pickles (FLAME model files, trackers' `.frame` files) without running any code that they name.
 
-Every class a pickle may name is replaced by an inert stand-in defined here; numpy, scipy and chumpy are never called
-with what a file contains. Opcodes outside a short list are refused, and sizes are checked before arrays are allocated.
-No other module unpickles.
+Every class a pickle may name is replaced by an inert stand-in; numpy, scipy, chumpy and torch are never called with
+what a file contains. Opcodes outside a short list are refused, keys that are hashed are names or numbers, and sizes are
+checked before arrays are allocated. No other module unpickles.
 """
 
 from __future__ import annotations
@@ -13,24 +13,34 @@ import pickle
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
-from math import prod
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ggavatar.errors import InputError
+from ggavatar.io import torch_archives as archives
+from ggavatar.io.pickle_stand_ins import (
+    ArrayStandIn,
+    Budget,
+    ClassStandIn,
+    DtypeStandIn,
+    ObjectStandIn,
+    PlainConverter,
+    Refused,
+    SelectStandIn,
+    SparseStandIn,
+    array_of,
+    check_key,
+)
 
-MAX_PICKLE_BYTES = 1 << 29
-"""Largest pickle that is read (512 MiB); FLAME's is 50 MB."""
-
-_ALLOWED_DTYPE_KINDS = frozenset("biufSU")
 _REFUSED_OPCODES = frozenset(
     opcode[0]
     for opcode in (
-        *(pickle.PERSID, pickle.BINPERSID, pickle.EXT1, pickle.EXT2, pickle.EXT4, pickle.INST, pickle.OBJ),
-        *(pickle.NEWOBJ_EX, pickle.BYTEARRAY8, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.LONG4),
+        *(pickle.PERSID, pickle.EXT1, pickle.EXT2, pickle.EXT4, pickle.INST, pickle.OBJ),
+        *(pickle.NEWOBJ_EX, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.LONG4),
     )
 )
 _DAMAGE_ERRORS = (
@@ -39,110 +49,39 @@ _DAMAGE_ERRORS = (
 )
 
 
-class _Refused(Exception):
-    """A pickle asked for something outside the allow-list."""
-
-
-class _DtypeStandIn:
-    """A dtype as pickled: `numpy.dtype(code, …)` followed by its state, of which only the byte order matters."""
-
-    def __init__(self, code: object = "", *_: object) -> None:
-        text = code.decode("latin1") if isinstance(code, bytes) else code
-        if not isinstance(text, str) or len(text) > 8:
-            raise _Refused(f"number type {text!r:.40}")
-        self._code, self._little = text, False
-
-    def __setstate__(self, state: object) -> None:
-        order = state[1] if isinstance(state, tuple) and len(state) > 1 else "="
-        if order not in ("<", "=", "|"):
-            raise _Refused("big-endian numbers")
-        self._little = order == "<"
-
-    def resolve(self) -> np.dtype[Any]:
-        try:
-            found = np.dtype(self._code)
-        except TypeError as error:
-            raise _Refused(f"number type {self._code!r}") from error
-        if found.kind not in _ALLOWED_DTYPE_KINDS or found.hasobject:
-            raise _Refused(f"number type {self._code!r}")
-        return found.newbyteorder("<") if self._little else found
-
-
-class _ArrayStandIn:
-    """An array as pickled: `_reconstruct(…)` followed by (version, shape, dtype, Fortran order, bytes)."""
-
-    def __init__(self, *_: object) -> None:
-        self._value: np.ndarray = np.zeros(0)
-
-    def __setstate__(self, state: object) -> None:
-        if not isinstance(state, tuple) or len(state) not in (4, 5):
-            raise _Refused("an array without its contents")
-        shape, kind, fortran, data = state[-4:]
-        raw = data.encode("latin1") if isinstance(data, str) else data
-        if (
-            not isinstance(kind, _DtypeStandIn)
-            or not isinstance(raw, bytes)
-            or not isinstance(shape, tuple)
-            or len(shape) > 8
-        ):
-            raise _Refused("an array of Python objects")
-        number = kind.resolve()
-        if not all(type(size) is int and size >= 0 for size in shape) or prod(shape) * number.itemsize != len(raw):
-            raise _Refused(f"an array whose {len(raw)} bytes are not those of shape {shape}")
-        self._value = np.frombuffer(raw, number).reshape(shape, order="F" if fortran else "C")
-
-    def value(self) -> np.ndarray:
-        """The array, sharing the bytes of the pickle (read-only)."""
-        return self._value
-
-
-class _ObjectStandIn:
-    """An object of chumpy or scipy: its attributes, never its behavior."""
-
-    def __init__(self, *_: object) -> None:
-        self.state: dict[str, Any] = {}
-
-    def __setstate__(self, state: object) -> None:
-        if not isinstance(state, dict):
-            raise _Refused("an object without attributes")
-        self.state = {str(key): value for key, value in state.items()}
-
-
-class _SelectStandIn(_ObjectStandIn):
-    """`chumpy.reordering.Select`: entries of another array."""
-
-
-class _SparseStandIn(_ObjectStandIn):
-    """`scipy.sparse.csc_matrix`."""
-
-
-class _ClassStandIn:
-    """A class that is only ever an argument (numpy.ndarray, object) and must not be called."""
-
-    def __init__(self, *_: object) -> None:
-        raise _Refused("an array or object created directly")
-
-
-def _reconstruct(*_: object) -> _ArrayStandIn:
-    return _ArrayStandIn()
-
-
-def _scalar(kind: object, data: object = b"") -> np.ndarray:
-    array = _ArrayStandIn()
-    array.__setstate__((1, (), kind, False, data))
-    return array.value()
-
-
-def _encode(text: object, encoding: object = "latin1") -> bytes:
+def _encode(budget: Budget, text: object, encoding: object = "latin1") -> bytes:
     if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-        raise _Refused("text in another encoding than latin1")
+        raise Refused("text in another encoding than latin1")
+    budget.spend(len(text))
     return text.encode("latin1")
 
 
+def _scalar(budget: Budget, kind: object, data: object = b"") -> np.ndarray:
+    return array_of(budget, data, kind, (), "C")
+
+
+def _frombuffer(budget: Budget, data: object, kind: object, shape: object, order: object = "C", *_: object) -> Any:
+    return array_of(budget, data, kind, shape, "F" if order == "F" else "C")
+
+
+def _ordered(budget: Budget, pairs: object = ()) -> dict[Any, Any]:
+    """`collections.OrderedDict()`, or with the list of pairs that Python 2 wrote."""
+    if not isinstance(pairs, list | tuple):
+        raise Refused("a dictionary made of another object")
+    budget.spend(64 * len(pairs))
+    result = {}
+    for pair in pairs:
+        if not isinstance(pair, list | tuple) or len(pair) != 2:
+            raise Refused("a dictionary made of another object")
+        check_key(pair[0])
+        result[pair[0]] = pair[1]
+    return result
+
+
 def _reconstructor(kind: object, *_: object) -> object:
-    if isinstance(kind, type) and issubclass(kind, _ObjectStandIn):
+    if isinstance(kind, type) and issubclass(kind, ObjectStandIn):
         return kind()
-    raise _Refused("an unknown object")
+    raise Refused("an unknown object")
 
 
 class _EmptyBytes:
@@ -150,73 +89,147 @@ class _EmptyBytes:
 
     def __new__(cls, *arguments: object) -> bytes:  # type: ignore[misc]
         if arguments:
-            raise _Refused("bytes converted from another object")
+            raise Refused("bytes converted from another object")
         return b""
 
 
+def _size(*sizes: object) -> tuple[object, ...]:
+    """`torch.Size`: a tuple."""
+    return tuple(sizes[0]) if len(sizes) == 1 and isinstance(sizes[0], tuple | list) else ()
+
+
 _ALLOWED: dict[tuple[str, str], Callable[..., Any]] = {
-    **{(f"numpy.{core}.multiarray", "_reconstruct"): _reconstruct for core in ("core", "_core")},
-    **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
-    ("numpy", "ndarray"): _ClassStandIn,
-    ("numpy", "dtype"): _DtypeStandIn,
-    ("_codecs", "encode"): _encode,
-    ("collections", "OrderedDict"): dict,
-    **{(f"scipy.sparse{module}", "csc_matrix"): _SparseStandIn for module in ("", ".csc", "._csc")},
-    ("chumpy.reordering", "Select"): _SelectStandIn,
+    ("numpy", "ndarray"): ClassStandIn,
+    ("numpy", "dtype"): DtypeStandIn,
+    **{(f"scipy.sparse{module}", "csc_matrix"): SparseStandIn for module in ("", ".csc", "._csc")},
+    ("chumpy.reordering", "Select"): SelectStandIn,
     **{(module, "_reconstructor"): _reconstructor for module in ("copy_reg", "copyreg")},
-    **{(module, "object"): _ClassStandIn for module in ("__builtin__", "builtins")},
+    **{(module, "object"): ClassStandIn for module in ("__builtin__", "builtins")},
     **{(module, "bytes"): _EmptyBytes for module in ("__builtin__", "builtins")},
+    **{("torch", name): archives.TorchType(code) for name, code in archives.STORAGE_TYPES.items()},
+    **{("torch", name): archives.TorchType(code) for name, code in archives.SCALAR_TYPES.items()},
+    ("torch.storage", "UntypedStorage"): archives.TorchType("<u1"),
+    **{("torch._utils", f"_rebuild_tensor{version}"): archives.rebuild_tensor for version in ("", "_v2")},
+    ("torch._utils", "_rebuild_tensor_v3"): archives.rebuild_tensor_v3,
+    **{("torch._utils", f"_rebuild_parameter{kind}"): archives.rebuild_parameter for kind in ("", "_with_state")},
+    ("torch._tensor", "_rebuild_from_type_v2"): archives.rebuild_from_type,
+    ("torch", "Size"): _size,
+    **{(f"torch{module}", name): ClassStandIn for module, name in ((".nn.parameter", "Parameter"), ("", "Tensor"))},
 }
 
 
 class _RestrictedUnpickler(pickle._Unpickler):
     """The pure-Python unpickler with an allow-list (a memo index can make the C one allocate gigabytes)."""
 
-    def __init__(self, data: bytes) -> None:
-        super().__init__(io.BytesIO(data), encoding="latin1")
-        self._remaining_bytes = MAX_PICKLE_BYTES
+    def __init__(
+        self, stream: io.BytesIO, budget: Budget, storages: archives.StoragePool | None = None, nested: bool = False
+    ) -> None:
+        super().__init__(stream, encoding="latin1")
+        self._budget, self._storages, self._nested = budget, storages, nested
+        self._spending: dict[tuple[str, str], Callable[..., Any]] = {
+            **{(f"numpy.{core}.multiarray", "_reconstruct"): self._array for core in ("core", "_core")},
+            **{(f"numpy.{core}.multiarray", "scalar"): partial(_scalar, budget) for core in ("core", "_core")},
+            **{(f"numpy.{core}.numeric", "_frombuffer"): partial(_frombuffer, budget) for core in ("core", "_core")},
+            ("_codecs", "encode"): partial(_encode, budget),
+            ("collections", "OrderedDict"): partial(_ordered, budget),
+            ("torch.storage", "_load_from_bytes"): self._storage_of_bytes,
+        }
+
+    def _array(self, *_: object) -> ArrayStandIn:
+        return ArrayStandIn(self._budget)
+
+    def _storage_of_bytes(self, data: object = None) -> archives.Storage:
+        """A storage in a pickle of its own, as `pickle.dump` writes a tensor; not within another such pickle."""
+        if not isinstance(data, bytes) or self._nested:
+            raise Refused("a tensor within a tensor")
+        self._budget.spend(len(data))
+        found = _load_stream(data, self._budget, nested=True)
+        if not isinstance(found, archives.Storage):
+            raise Refused("a storage that is none")
+        return found
+
+    def persistent_load(self, pid: Any) -> archives.Storage:
+        if self._storages is None:
+            raise Refused("a reference to something outside the file")
+        return self._storages.load(pid)
 
     def load_build(self) -> None:
         """Set an object's state: stand-ins only, so that a file cannot alter any function or class of this module."""
         state = self.stack.pop()  # type: ignore[attr-defined]
         target = self.stack[-1]  # type: ignore[attr-defined]
-        if not isinstance(target, _DtypeStandIn | _ArrayStandIn | _ObjectStandIn):
-            raise _Refused("an object with a state of its own")
-        if isinstance(target, _ArrayStandIn) and isinstance(state, tuple) and isinstance(state[-1], bytes | str):
-            self._remaining_bytes -= len(state[-1])
-            if self._remaining_bytes < 0:
-                raise _Refused(f"more than {MAX_PICKLE_BYTES >> 20} MiB of arrays")
+        if isinstance(target, dict):
+            return  # attributes of an OrderedDict, such as the _metadata of torch's state_dict
+        if not isinstance(target, DtypeStandIn | ArrayStandIn | ObjectStandIn | archives.TensorStandIn):
+            raise Refused("an object with a state of its own")
         target.__setstate__(state)
+
+    def load_bytearray8(self) -> None:
+        """A bytearray of protocol 5, whose length is checked against what is left of the file."""
+        (size,) = struct.unpack("<Q", self.read(8))  # type: ignore[attr-defined]
+        self._budget.spend(size)
+        self.append(self.read(size))  # type: ignore[attr-defined]
+
+    def load_setitem(self) -> None:
+        check_key(self.stack[-2])  # type: ignore[attr-defined]
+        super().load_setitem()  # type: ignore[misc]
+
+    def load_setitems(self) -> None:
+        self._check_keys(self.stack[::2])  # type: ignore[attr-defined]
+        super().load_setitems()  # type: ignore[misc]
+
+    def load_dict(self) -> None:
+        self._check_keys(self.stack[::2])  # type: ignore[attr-defined]
+        super().load_dict()  # type: ignore[misc]
+
+    def load_additems(self) -> None:
+        self._check_keys(self.stack)  # type: ignore[attr-defined]
+        super().load_additems()  # type: ignore[misc]
+
+    def load_frozenset(self) -> None:
+        self._check_keys(self.stack)  # type: ignore[attr-defined]
+        super().load_frozenset()  # type: ignore[misc]
+
+    def _check_keys(self, keys: Iterable[object]) -> None:
+        for key in keys:
+            check_key(key)
 
     dispatch: ClassVar = {
         **{code: load for code, load in pickle._Unpickler.dispatch.items() if code not in _REFUSED_OPCODES},
         pickle.BUILD[0]: load_build,  # type: ignore[dict-item]
+        pickle.BYTEARRAY8[0]: load_bytearray8,  # type: ignore[dict-item]
+        pickle.SETITEM[0]: load_setitem,  # type: ignore[dict-item]
+        pickle.SETITEMS[0]: load_setitems,  # type: ignore[dict-item]
+        pickle.DICT[0]: load_dict,  # type: ignore[dict-item]
+        pickle.ADDITEMS[0]: load_additems,  # type: ignore[dict-item]
+        pickle.FROZENSET[0]: load_frozenset,  # type: ignore[dict-item]
     }
 
     def find_class(self, module: str, name: str) -> Callable[..., Any]:
-        if (module, name) in _ALLOWED:
-            return _ALLOWED[module, name]
+        allowed = self._spending.get((module, name)) or _ALLOWED.get((module, name))
+        if allowed is not None:
+            return allowed
         if module.split(".")[0] == "chumpy" and "." not in name:
-            return _ObjectStandIn
-        raise _Refused(f"{module}.{name}")
+            return ObjectStandIn
+        raise Refused(f"{module}.{name}")
 
 
 def read_pickle(path: Path) -> Any:
-    """Read the plain content (dicts, lists, numbers, text, arrays) of a pickle, or of a tensorless `torch.save` file.
+    """Read the plain content of a pickle or a `torch.save` file: dicts, lists, numbers, text, arrays.
+
+    Tensors and Parameters become arrays; gradients and the device that they were on are left out.
 
     Raises:
         InputError: The file is missing, damaged, too large, or names anything that is not on the allow-list.
     """
     try:
-        data = _pickle_bytes(path)
-        return _PlainConverter().convert(_RestrictedUnpickler(data).load())
+        return _load(path)
     except InputError:
         raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except IsADirectoryError as error:
         raise InputError(f"{path}: expected a file, found a folder") from error
-    except _Refused as error:
+    except Refused as error:
         raise InputError(
             f"{path}: refused, since it holds {error}, which no tracker output or FLAME model needs and which "
             "could run code; download the file from its original source"
@@ -233,96 +246,40 @@ def read_pickle(path: Path) -> Any:
         ) from error
 
 
-def _pickle_bytes(path: Path) -> bytes:
-    """The pickle itself: the whole file, or `*/data.pkl` of a zip."""
+def _load(path: Path) -> Any:
     size = path.stat().st_size
-    if size > MAX_PICKLE_BYTES:
-        raise InputError(f"{path}: expected at most {MAX_PICKLE_BYTES >> 20} MiB, found {size >> 20} MiB")
+    if size > archives.MAX_FILE_BYTES:
+        raise InputError(f"{path}: expected at most {archives.MAX_FILE_BYTES >> 20} MiB, found {size >> 20} MiB")
     with path.open("rb") as stream:
-        if stream.read(2) != b"PK":
-            stream.seek(0)
-            return stream.read()
-    with zipfile.ZipFile(path) as archive:
-        inside = [
-            info for info in archive.infolist() if info.filename.count("/") == 1 and info.filename.endswith("/data.pkl")
-        ]
-        if len(inside) != 1:
-            raise InputError(f"{path}: expected one data.pkl as torch.save writes it, found {len(inside)} of them")
-        if inside[0].file_size > max(64 * size, 1 << 20) or inside[0].file_size > MAX_PICKLE_BYTES:
-            raise InputError(f"{path}: unpacks to {inside[0].file_size >> 20} MiB; the file is damaged or hostile")
-        with archive.open(inside[0]) as stream:
-            return stream.read(inside[0].file_size)
+        is_zip = stream.read(2) == b"PK"
+    if is_zip:
+        archive = archives.read_archive(path, size)
+        budget = Budget(max(size, len(archive.pickle)))
+        pool = archives.StoragePool(archive.entries)
+        loaded = _RestrictedUnpickler(io.BytesIO(archive.pickle), budget, pool).load()
+    else:
+        budget = Budget(size)
+        loaded = _load_stream(path.read_bytes(), budget)
+    return PlainConverter(budget, partial(_tensor_array, budget)).convert(loaded)
 
 
-_PLAIN_TYPES = (str, bytes, int, float, complex, set, frozenset, np.ndarray)
+def _load_stream(data: bytes, budget: Budget, nested: bool = False) -> Any:
+    """A pickle, or the five pickles and the numbers of torch's older container; `nested` within a tensor."""
+    stream = io.BytesIO(data)
+    pool = archives.StoragePool(None)
+    first = _RestrictedUnpickler(stream, budget, nested=nested).load()
+    if first != archives.LEGACY_MAGIC or type(first) is not int:
+        return first
+    _RestrictedUnpickler(stream, budget).load()
+    system = _RestrictedUnpickler(stream, budget).load()
+    if not isinstance(system, dict) or system.get("little_endian", True) is not True:
+        raise Refused("numbers of a big-endian machine")
+    loaded = _RestrictedUnpickler(stream, budget, pool, nested).load()
+    pool.fill(_RestrictedUnpickler(stream, budget).load(), stream)
+    return loaded
 
 
-class _PlainConverter:
-    """Replaces stand-ins by arrays; shared parts are converted once, so a small file cannot expand into a large one."""
-
-    def __init__(self) -> None:
-        self._converted: dict[int, tuple[object, Any]] = {}
-        self._in_progress: set[int] = set()
-        self._remaining_sparse = 4
-
-    def convert(self, value: Any) -> Any:
-        """Convert a value to plain content."""
-        if id(value) in self._converted:
-            return self._converted[id(value)][1]
-        if id(value) in self._in_progress or len(self._in_progress) > 50:
-            raise _Refused("a structure that contains itself or is nested more than 50 deep")
-        self._in_progress.add(id(value))
-        result = self._convert_new(value)
-        self._in_progress.discard(id(value))
-        self._converted[id(value)] = (value, result)
-        return result
-
-    def _convert_new(self, value: Any) -> Any:
-        if isinstance(value, _ArrayStandIn):
-            return value.value()
-        if isinstance(value, _ObjectStandIn):
-            return self._array_of(value)
-        if isinstance(value, dict):
-            if not all(isinstance(key, str | int | bytes) for key in value):
-                raise _Refused("a dictionary whose keys are not names")
-            return {key: self.convert(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return type(value)(self.convert(item) for item in value)
-        if value is not None and not isinstance(value, _PLAIN_TYPES):
-            raise _Refused(f"{type(value).__name__} where a value is expected")
-        return value
-
-    def _array_of(self, value: _ObjectStandIn) -> np.ndarray:
-        """The array that an object of chumpy or scipy represents."""
-        state = {key: self.convert(item) for key, item in value.state.items() if key in _STATE_KEYS}
-        if isinstance(value, _SparseStandIn):
-            self._remaining_sparse -= 1
-            if self._remaining_sparse < 0:
-                raise _Refused("more than four sparse matrices")
-            return _sparse_to_dense(state)
-        if isinstance(value, _SelectStandIn):
-            chosen = np.asarray(state["a"]).ravel()[np.asarray(state["idxs"])]
-            shape = state.get("preferred_shape")
-            return chosen.reshape(shape) if isinstance(shape, tuple) else chosen
-        if not isinstance(state.get("x"), np.ndarray):
-            raise _Refused("an object of chumpy other than a plain array")
-        return state["x"]
-
-
-_STATE_KEYS = frozenset({"x", "a", "idxs", "preferred_shape", "shape", "_shape", "data", "indices", "indptr"})
-
-
-def _sparse_to_dense(state: dict[str, Any]) -> np.ndarray:
-    """Convert a compressed-column matrix to an array, checking every index."""
-    shape = state.get("_shape", state.get("shape"))
-    data, rows, starts = (np.asarray(state[key]) for key in ("data", "indices", "indptr"))
-    if not isinstance(shape, tuple) or len(shape) != 2 or not all(type(size) is int and size >= 0 for size in shape):
-        raise _Refused("a sparse matrix without a shape")
-    if prod(shape) > 1 << 22 or len(starts) != shape[1] + 1 or data.shape != rows.shape or data.ndim != 1:
-        raise _Refused(f"a sparse matrix of shape {shape} that does not fit its contents")
-    counts = np.diff(starts)
-    if (counts < 0).any() or starts[0] != 0 or starts[-1] != len(data) or ((rows < 0) | (rows >= shape[0])).any():
-        raise _Refused("a sparse matrix with entries outside it")
-    dense = np.zeros(shape, data.dtype)
-    np.add.at(dense, (rows, np.repeat(np.arange(shape[1]), counts)), data)
-    return dense
+def _tensor_array(budget: Budget, value: object) -> np.ndarray | None:
+    if isinstance(value, archives.Storage):
+        raise Refused("a storage without a tensor")
+    return value.array(budget) if isinstance(value, archives.TensorStandIn) else None

@@ -80,17 +80,6 @@ def last_number(path: Path, text: object) -> int:
     return int(found[-1])
 
 
-def path_inside(path: Path, relative: object) -> Path:
-    """A file that `path` names relative to its own folder; `InputError` if it lies outside of that."""
-    folder = path.parent.resolve()
-    if not isinstance(relative, str) or "\0" in relative or len(relative) > 1000:
-        raise InputError(f"{path}: expected a file name, found {relative!r:.60}")
-    target = (folder / relative).resolve()
-    if not target.is_relative_to(folder):
-        raise InputError(f"{path}: expected file names within its own folder, found {relative!r:.80}")
-    return target
-
-
 def pose_from_opengl(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """World-to-camera in OpenCV axes from camera-to-world in OpenGL axes (x right, y up, z backwards)."""
     return invert_pose(matrix @ np.diag([1.0, -1.0, -1.0, 1.0]))

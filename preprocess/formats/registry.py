@@ -10,6 +10,8 @@ from typing import Protocol, cast, runtime_checkable
 
 import preprocess.formats.importers
 from ggavatar.errors import InputError
+from ggavatar.io.restricted_pickle import read_pickle
+from preprocess.formats.frame_files import pickled_files
 from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 
@@ -55,19 +57,29 @@ def importer(name: str) -> Importer:
 
 
 def detect_format(path: Path) -> str:
-    """The name of the format of a file or folder; `InputError` if none or several recognize it."""
+    """The format of a file or folder, found by its content; `InputError` if none or several recognize it."""
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; --tracking expects the output of another tracker")
     found = [name for name in importer_names() if importer(name).recognizes(path)]
     if len(found) == 1:
         return found[0]
+    if found:
+        titles = "; ".join(f"--format {name.replace('_', '-')} ({importer(name).TITLE})" for name in found)
+        raise InputError(f"{path}: its content fits {len(found)} formats; choose one of them: {titles}")
     formats = "; ".join(f"{name} ({importer(name).TITLE})" for name in importer_names())
-    what = (
-        f"looks like {' and '.join(found)}: choose one with --format"
-        if found
-        else f"expected the output of a known tracker, found none. Known formats: {formats}"
+    raise InputError(
+        f"{path}: expected the output of a known tracker, found none{_unreadable(path)}. Known formats: {formats}"
     )
-    raise InputError(f"{path}: {what}")
+
+
+def _unreadable(path: Path) -> str:
+    """Why the first pickled frame of a folder cannot be read, if there is one."""
+    for first in list(pickled_files(path).values())[:1]:
+        try:
+            read_pickle(first)
+        except InputError as error:
+            return f" ({error})"
+    return ""
 
 
 def read_tracking_record(options: PrepOptions) -> tuple[str, TrackingRecord]:

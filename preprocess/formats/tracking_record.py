@@ -14,6 +14,12 @@ from ggavatar.errors import InputError
 
 FLAME_JOINTS = 5
 
+MAX_MAGNITUDE = 1e6
+"""No length, angle, coefficient or focal length of a portrait reaches this."""
+
+MAX_BAD_SHARE = 0.5
+"""Largest share of a clip's frames that may be left out: beyond it, something else is wrong than single frames."""
+
 
 @dataclass(frozen=True)
 class TrackingRecord:
@@ -49,6 +55,11 @@ class TrackingRecord:
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 
+    def rows(self, chosen: np.ndarray) -> TrackingRecord:
+        """The record of some of its frames, chosen by a mask or by rows."""
+        names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation", "numbers")
+        return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
 
 def stacked(source: object, rows: Sequence[np.ndarray], what: str) -> np.ndarray:
     """One row per frame as one array; `InputError` naming the source if the rows differ in length."""
@@ -57,17 +68,41 @@ def stacked(source: object, rows: Sequence[np.ndarray], what: str) -> np.ndarray
     return np.stack(rows)
 
 
-def require_finite(source: object, record: TrackingRecord) -> TrackingRecord:
-    """The record, unchanged; `InputError` naming the source if a number is NaN, infinite or above 10⁶ in magnitude."""
+def without_bad_frames(source: object, record: TrackingRecord) -> TrackingRecord:
+    """The record without the frames that hold a number that is NaN, infinite or above 10⁶ in magnitude, and a note.
+
+    Raises:
+        InputError: More than half of the frames do, or the identity does; the message names the source.
+    """
+    bad = np.zeros(len(record.numbers), dtype=bool)
+    what = ""
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f":
-            bad = ~(np.abs(value) < 1e6)
-            if bad.any():
-                first = int(np.argwhere(bad)[0][0])
-                where = f"frame {int(record.numbers[first])}" if item.name != "shape" else "the identity"
-                raise InputError(
-                    f"{source}: {item.name} of {where} is NaN, infinite or above 10⁶ in magnitude; track the video "
-                    "again or leave the frame out"
-                )
-    return record
+            wrong = ~(np.abs(value) < MAX_MAGNITUDE)
+            if item.name == "shape":
+                _require_good_identity(source, wrong)
+                continue
+            rows = wrong.reshape(len(value), -1).any(axis=1)
+            what = what or (item.name if rows.any() else "")
+            bad |= rows
+    if not bad.any():
+        return record
+    numbers = record.numbers[bad].tolist()
+    cause = f"{what} of frame {numbers[0]} is NaN, infinite or above 10⁶ in magnitude"
+    if bad.sum() > MAX_BAD_SHARE * len(bad):
+        raise InputError(f"{source}: {cause}, and so in {bad.sum()} of {len(bad)} frames; track the video again")
+    return dataclasses.replace(record.rows(~bad), notes=(*record.notes, f"{left_out_text(numbers, len(bad))}: {cause}"))
+
+
+def _require_good_identity(source: object, wrong: np.ndarray) -> None:
+    if wrong.any():
+        raise InputError(f"{source}: the identity is NaN, infinite or above 10⁶ in magnitude; track the video again")
+
+
+def left_out_text(numbers: Sequence[int], total: int) -> str:
+    """A phrase such as "2 of 24 frames of the tracking (3, 7) cannot be used and are left out"."""
+    shown = ", ".join(str(number) for number in sorted(numbers)[:5]) + (", …" if len(numbers) > 5 else "")
+    if len(numbers) == 1:
+        return f"frame {shown} of the tracking cannot be used and is left out"
+    return f"{len(numbers)} of {total} frames of the tracking ({shown}) cannot be used and are left out"

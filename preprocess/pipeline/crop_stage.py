@@ -116,7 +116,8 @@ def _size_mismatch(record: TrackingRecord, width: int, height: int) -> str:
         return f"{found}: width and height are swapped in the tracking; add --fix {SWAPPED_SIZE}"
     return (
         f"{found}: the tracker cropped it. Give the tracker's own images as INPUT "
-        "(metrical-tracker: the folder `input` beside `checkpoint`)"
+        "(metrical-tracker: the folder `input` beside `checkpoint`; Pixel3DMM: `cropped` of its preprocessing; "
+        "flame-head-tracker: its npz folder; regressors: their crops)"
     )
 
 

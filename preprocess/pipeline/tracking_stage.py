@@ -12,6 +12,7 @@ import torch
 
 from ggavatar.data.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
+from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
@@ -170,30 +171,36 @@ def _offset(
     return found.offset, {"offset": found.offset, "suggested": found.suggested, "scores": scores}
 
 
-def _head(options: PrepOptions, record: TrackingRecord) -> tuple[Any, list[str]]:
-    """The head model that the tracking's parameters belong to, identity folded in."""
-    from ggavatar.head.files import load_head
-    from ggavatar.head.flame import is_flame, load_flame
+def _head(options: PrepOptions, record: TrackingRecord) -> tuple[HeadModel, list[str]]:
+    """The head model that the tracking's parameters belong to, identity folded in, and notes on the choice."""
+    from ggavatar.head.any_head import is_head_file, open_head
 
     path = _head_path(options)
-    if not is_flame(path):
-        return load_head(path), []
-    head = with_static_offset(load_flame(path, record.shape, expressions=max(1, record.expression.shape[1])), record)
+    head = open_head(path, record.shape, max(1, record.expression.shape[1]))
+    if is_head_file(path):
+        return head, []
+    notes = []
     if record.version is not None and head.version != record.version:
-        raise InputError(
-            f"{path}: expected {record.version}, which the tracking's coefficients belong to, found {head.version}; "
-            f"they are not interchangeable, give the {record.version} file with --head-model"
+        if (record.version, head.version) != ("flame2023", "flame2023-open"):
+            raise InputError(
+                f"{path}: expected {record.version}, which the tracking's coefficients belong to, found "
+                f"{head.version}; they are not interchangeable, give the {record.version} file with --head-model"
+            )
+        notes.append(
+            "the head model is FLAME 2023 Open: right only if the video was tracked with it, which no file says"
         )
-    return head, []
+    return with_static_offset(head, record), notes
 
 
 def _head_path(options: PrepOptions) -> Path:
     """The path of the head model of an imported tracking, checked to exist."""
+    from ggavatar.head.any_head import KINDS
+
     path = options.head_model
     if path is None:
-        raise InputError("--tracking needs --head-model: FLAME's generic_model.pkl or flame2023.pkl, or a head.npz")
-    if not path.is_file():
-        raise InputError(f"{path}: no such head model file; check --head-model")
+        raise InputError(f"--tracking needs --head-model: {KINDS}")
+    if not path.exists():
+        raise InputError(f"{path}: no such head model file or folder; check --head-model, which takes {KINDS}")
     return path
 
 
@@ -217,17 +224,33 @@ def to_tracking(
     """A tracking record as the capture's tracking: padded to the head's sizes, intrinsics in px of the capture."""
     crop, source = crop_from_json(dict(context.results["crop"]["crop"])), context.results["frames"]
     scale = np.diag([source["width"] / record.width, source["height"] / record.height, 1.0])
-    joints = np.zeros((len(record.numbers), len(joint_names), 3))
-    joints[:, : min(FLAME_JOINTS, len(joint_names))] = record.joint_rotations[:, : len(joint_names)]
     return Tracking(
         intrinsics=crop.intrinsics(scale @ record.intrinsics),
         world_to_camera=nearest_rigid(record.world_to_camera),
         expression=fit_columns(record.expression, expressions),
-        joint_rotations=joints,
+        joint_rotations=_joints(record, joint_names),
         eyelids=record.eyelids,
         translation=record.translation,
         shape=record.shape,
     )
+
+
+def _joints(record: TrackingRecord, names: tuple[str, ...]) -> np.ndarray:
+    """FLAME's joint rotations for the joints of the head, by position, or by name if the head lacks one of them.
+
+    Raises:
+        InputError: A joint is rotated that the head does not have.
+    """
+    joints = np.zeros((len(record.numbers), len(names), 3))
+    if len(names) >= FLAME_JOINTS or not set(JOINT_NAMES) & set(names):
+        joints[:, :FLAME_JOINTS] = record.joint_rotations[:, : len(names)]
+        return joints
+    for row, name in enumerate(JOINT_NAMES):
+        if name in names:
+            joints[:, names.index(name)] = record.joint_rotations[:, row]
+        elif np.any(record.joint_rotations[:, row]):
+            raise InputError(f"expected a head with the joint {name!r}, which the tracking rotates, found {names}")
+    return joints
 
 
 def nearest_rigid(poses: np.ndarray) -> np.ndarray:

@@ -17,17 +17,25 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 
 
 class ImageFolder:
-    """PNG or JPEG files with the frame number in their names.
+    """PNG or JPEG files with the frame number in their names, or listed with it.
+
+    Args:
+        path: The folder.
+        fps: Frame rate.
+        camera: Camera of names that tell several apart; the first if None.
+        listed: The images by frame number where a list in the folder names them.
 
     Raises:
-        InputError: No images in the folder.
+        InputError: No images in the folder, or it cannot be told which number counts the frames.
     """
 
-    def __init__(self, path: Path, fps: float, camera: int | None = None) -> None:
+    def __init__(
+        self, path: Path, fps: float, camera: int | None = None, listed: Mapping[int, Path] | None = None
+    ) -> None:
         self.path = path
         self._fps = fps
         self._conversions: dict[str, None] = {}
-        numbered = numbered_images(path, camera)
+        numbered = NumberedImages(listed) if listed else numbered_images(path, camera)
         self._files, self.notes = numbered.files, numbered.notes
         if not self._files:
             raise InputError(

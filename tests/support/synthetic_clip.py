@@ -100,6 +100,28 @@ def weak_perspective(count: int) -> TrackingRecord:
     return dataclasses.replace(record, world_to_camera=poses, intrinsics=intrinsics, joint_rotations=joints)
 
 
+def still_camera(count: int, size: tuple[int, int], focal: float) -> TrackingRecord:
+    """A head moved by FLAME's root and translation in front of a camera at (0, 0, 1), its center in the middle."""
+    record = moving_record(count, size)
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 1
+    joints = record.joint_rotations.copy()
+    joints[:, 0] = [[0.1, 0.2 * np.sin(row), 0.05] for row in range(count)]
+    joints[:, 1] = [0.02, -0.1, 0.0]
+    return dataclasses.replace(
+        record,
+        joint_rotations=joints,
+        translation=np.array([[0.01 * np.cos(row), 0.002 * row, 0.0] for row in range(count)]),
+        world_to_camera=np.tile(pose, (count, 1, 1)),
+        intrinsics=np.tile([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]], (count, 1, 1)),
+    )
+
+
+def sheap_record(count: int) -> TrackingRecord:
+    """A record such as SHeaP's dictionary can hold."""
+    return still_camera(count, (224, 224), 112 / np.tan(np.radians(14.2539 / 2)))
+
+
 def as_tracking(record: TrackingRecord) -> Tracking:
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     return Tracking(**{name: getattr(record, name) for name in names})

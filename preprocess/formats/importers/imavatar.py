@@ -16,7 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import camera_matrix, frame_list, last_number, number_array
-from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
 
 TITLE = "IMavatar / PointAvatar / MonoGaussianAvatar: flame_params.json"
 SCALE = 4.0
@@ -57,7 +57,7 @@ def read(path: Path) -> TrackingRecord:
         shape=number_array(path, data.get("shape_params"), (None,), "'shape_params'"),
         notes=("this format has no eyelids",),
     )
-    return require_finite(path, record)
+    return without_bad_frames(path, record)
 
 
 def _image_size(folder: Path) -> tuple[int, int]:

@@ -21,6 +21,7 @@ from ggavatar.geometry.transforms import (
     rotation_6d_to_matrix,
 )
 from ggavatar.io.atomic import write_text
+from ggavatar.io.inner_paths import path_inside
 from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import (
     camera_matrix,
@@ -30,9 +31,8 @@ from preprocess.formats.json_fields import (
     invert_pose,
     last_number,
     number_array,
-    path_inside,
 )
-from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
 
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 
@@ -70,7 +70,7 @@ def read(folder: Path) -> TrackingRecord:
         if has_jaw
         else ("no flame/jaw, so the jaw stays closed; give metrical-tracker's checkpoint folder instead",),
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
 def _coefficients(path: Path, frame: Mapping[str, Any], number: int) -> dict[str, Any]:

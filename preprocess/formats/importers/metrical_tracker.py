@@ -1,12 +1,13 @@
 """metrical-tracker (Zielon): one `.frame` file per image, written by torch.save and read without executing code.
 
 The head stays in FLAME's coordinates and the camera moves. Eyes are stored in FLAME's joint order; `img_size` is
-(height, width).
+(height, width). Files that others made from it are read too: with tensors or Parameters, without the batch axis, with
+other names, with axis-angle instead of 6D rotations, or with PyTorch3D's `camera` alone.
 """
 
 from __future__ import annotations
 
-import re
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,116 +22,122 @@ from ggavatar.geometry.transforms import (
     matrix_to_rotation_6d,
     rotation_6d_to_matrix,
 )
-from ggavatar.io.restricted_pickle import read_pickle
-from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
+from preprocess.formats.array_table import ArrayTable, Assume
+from preprocess.formats.frame_files import frame_content, frame_files, pickled_files
+from preprocess.formats.frame_set import Frame, read_frames
+from preprocess.formats.json_fields import camera_matrix
+from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
 
-TITLE = "metrical-tracker: folder of %05d.frame"
-_NAME = re.compile(r"^(\d{1,9})\.frame$")
+TITLE = "metrical-tracker: folder of %05d.frame with the camera under 'opencv' or 'camera'"
+_EXPRESSION = ("exp", "expression", "expr", "expcode", "expression_params")
+_SHAPE = ("shape", "shapecode", "betas", "identity", "shape_params")
+_EYELIDS = ("eyelids", "eyelid", "eyelid_params")
+_JAW = ("jaw", "jaw_pose", "jawpose", "jaw_params")
+_EYES = ("eyes", "eyes_pose", "eye_pose", "eye_pose_params")
+_SIZE = ("img_size", "image_size", "size")
+_CAMERAS = ("opencv", "camera")
 
 
 def recognizes(folder: Path) -> bool:
-    """Whether the folder, or `checkpoint` in it, contains `.frame` files."""
-    return bool(_files(folder))
+    """Whether the folder, or `checkpoint` in it, contains pickled frames with FLAME's parameters and such a camera."""
+    return bool(frame_files(folder, _accepts))
 
 
-def _files(folder: Path) -> dict[int, Path]:
-    """Frame files by number, from the folder or from `checkpoint` in it."""
-    for place in (folder, folder / "checkpoint"):
-        if place.is_dir():
-            found = {int(match[1]): path for path in place.iterdir() if (match := _NAME.match(path.name))}
-            if found:
-                return dict(sorted(found.items()))
-    return {}
+def _accepts(content: Mapping[str, Any]) -> bool:
+    flame, camera = content.get("flame"), [content.get(name) for name in _CAMERAS]
+    if not isinstance(flame, Mapping) or "R_rotation_matrix" in flame or {"R", "t"} <= set(flame):
+        return False
+    return any(isinstance(table, Mapping) and ("R" in table or "K" in table) for table in camera)
 
 
 def read(folder: Path) -> TrackingRecord:
-    """Read every `.frame` file of a folder.
+    """Read every `.frame` file of a folder; frames that cannot be read are left out.
 
     Raises:
-        InputError: No such files, or a file is damaged, hostile, incomplete, or contradicts the others.
+        InputError: No such files, or most of them are damaged, hostile, incomplete, or contradict the others.
     """
-    files = _files(folder)
+    files = frame_files(folder, _accepts) or pickled_files(folder)
     if not files:
         raise InputError(f"{folder}: expected files such as 00000.frame; give metrical-tracker's `checkpoint` folder")
-    frames = [_read_frame(path) for path in files.values()]
-    height, width = frames[0]["size"]
-    for path, frame in zip(files.values(), frames, strict=True):
-        if frame["size"] != (height, width):
-            raise InputError(
-                f"{path}: expected img_size {(height, width)} as in the first file, found {frame['size']}; track the "
-                "video in a single run"
-            )
-    shapes = stacked(folder, [frame["shape"] for frame in frames], "identity coefficients")
-    notes = (
-        () if np.allclose(shapes, shapes[0], atol=1e-5) else ("the identity changes between frames; the first is used",)
-    )
-    arrays = {name: stacked(folder, [frame[name] for frame in frames], name) for name in frames[0] if name != "size"}
+    frames = read_frames(folder, files, _read_frame)
+    height, width = frames.stacked("size")[0]
+    shape, notes = frames.identity()
     record = TrackingRecord(
-        numbers=np.array(list(files), dtype=np.int64),
-        width=width,
-        height=height,
-        intrinsics=arrays["intrinsics"],
-        world_to_camera=arrays["world_to_camera"],
-        expression=arrays["expression"],
-        joint_rotations=arrays["joint_rotations"],
-        eyelids=arrays["eyelids"],
-        translation=arrays["translation"],
-        shape=shapes[0],
-        notes=notes,
+        numbers=np.array(frames.numbers, dtype=np.int64),
+        width=int(width),
+        height=int(height),
+        intrinsics=frames.stacked("intrinsics"),
+        world_to_camera=frames.stacked("world_to_camera"),
+        expression=frames.stacked("expression"),
+        joint_rotations=frames.stacked("joint_rotations"),
+        eyelids=frames.stacked("eyelids"),
+        translation=np.zeros((len(frames.numbers), 3)),
+        shape=shape,
+        notes=(*frames.notes, *notes),
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
-def _read_frame(path: Path) -> dict[str, Any]:
+def _read_frame(path: Path, assume: Assume) -> Frame:
     """The content of one file in our conventions."""
-    content = read_pickle(path)
-    flame, camera = _table(path, content, "flame"), _table(path, content, "opencv")
-    size = np.asarray(content.get("img_size"))
-    if size.shape != (2,) or size.dtype.kind not in "iu" or not (size.min() >= 1 and size.max() <= 16384):
-        raise InputError(f"{path}: expected 'img_size' to be (height, width), found {content.get('img_size')!r:.60}")
-    pose = np.eye(4)
-    pose[:3, :3] = _array(path, camera, "R", (3, 3))
-    pose[:3, 3] = _array(path, camera, "t", (3,))
-    eyes = _array(path, flame, "eyes", (12,))
-    rotations = torch.from_numpy(np.stack([_array(path, flame, "jaw", (6,)), eyes[:6], eyes[6:]]))
+    content = ArrayTable(path, frame_content(path, "metrical-tracker's dictionary"), assume)
+    flame = content.table(("flame",))
+    if flame is None:
+        raise InputError(f"{path}: expected metrical-tracker's dictionary with 'flame' in it; track the frame again")
+    height, width = image_size(content)
+    intrinsics, pose = _camera(content, width, height)
+    eyes = flame.array(_EYES, (12,), (6,)).reshape(2, -1)
     joints = np.zeros((5, 3))
-    joints[2:] = matrix_to_axis_angle(rotation_6d_to_matrix(rotations)).numpy()
-    lids = _array(path, flame, "eyelids", (2,)) if "eyelids" in flame else np.zeros(2)
+    joints[2:] = np.stack([axis_angle_of(row) for row in (flame.array(_JAW, (6,), (3,)), *eyes)])
     return {
-        "size": (int(size[0]), int(size[1])),
-        "intrinsics": _array(path, camera, "K", (3, 3)),
+        "size": np.array([height, width]),
+        "intrinsics": intrinsics,
         "world_to_camera": pose,
-        "expression": _array(path, flame, "exp", (None,)),
+        "expression": flame.array(_EXPRESSION, (None,)),
         "joint_rotations": joints,
-        "eyelids": lids,
-        "translation": np.zeros(3),
-        "shape": _array(path, flame, "shape", (None,)),
+        "eyelids": flame.array(_EYELIDS, (2,)) if flame.name_of(_EYELIDS) else np.zeros(2),
+        "shape": flame.array(_SHAPE, (None,)),
     }
 
 
-def _table(path: Path, content: object, key: str) -> Mapping[str, Any]:
-    inside = content.get(key) if isinstance(content, Mapping) else None
-    if not isinstance(inside, Mapping):
-        raise InputError(f"{path}: expected metrical-tracker's dictionary with {key!r} in it")
-    return inside
+def image_size(content: ArrayTable) -> tuple[int, int]:
+    """Height and width in px under `img_size`; `InputError` if they are no image size."""
+    height, width = dataclasses.replace(content, batched=False).array(_SIZE, (2,)).tolist()
+    if not all(1 <= size <= 16384 and size == round(size) for size in (height, width)):
+        raise InputError(
+            f"{content.path}: expected 'img_size' to be a height and width of 1 to 16384 px, found {height:g}, "
+            f"{width:g}; track the frame again"
+        )
+    return int(height), int(width)
 
 
-def _array(path: Path, table: Mapping[str, Any], key: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """An array of the table as float64 without its leading batch axis of size 1."""
-    value = table.get(key)
-    if (
-        isinstance(value, np.ndarray)
-        and value.dtype.kind == "f"
-        and value.ndim == len(shape) + 1
-        and value.shape[0] == 1
-    ):
-        value = value[0]
-        if all(want in (None, size) for want, size in zip(shape, value.shape, strict=True)):
-            return value.astype(np.float64)
-    found = value.shape if isinstance(value, np.ndarray) else type(value).__name__
-    raise InputError(
-        f"{path}: expected {key!r} as a floating-point array of shape (1, {', '.join(map(str, shape))}), found {found}"
-    )
+def axis_angle_of(rotation: np.ndarray) -> np.ndarray:
+    """A rotation of 6 numbers (two rows of its matrix) or of 3 (axis-angle) as axis-angle, rad."""
+    if rotation.size == 3:
+        return rotation
+    return matrix_to_axis_angle(rotation_6d_to_matrix(torch.from_numpy(rotation))).numpy()
+
+
+def _camera(content: ArrayTable, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Intrinsics and world-to-camera from `opencv`, or from PyTorch3D's `camera` where that is missing."""
+    camera, pose = content.table(("opencv",)), np.eye(4)
+    if camera is not None:
+        pose[:3, :3] = camera.array(("R", "rotation"), (3, 3))
+        pose[:3, 3] = camera.array(("t", "T", "translation"), (3,))
+        return camera.array(("K", "intrinsics"), (3, 3)), pose
+    camera = content.table(("camera",))
+    if camera is None:
+        raise InputError(f"{content.path}: expected 'opencv' or 'camera', found neither; track the frame again")
+    content.assume("'opencv' is missing: the camera is taken from 'camera', as PyTorch3D defines it")
+    rows = camera.array(("R", "rotation"), (6,), (3, 3))
+    rotation = rows if rows.shape == (3, 3) else rotation_6d_to_matrix(torch.from_numpy(rows)).numpy()
+    pose[:3, :3] = (rotation * np.array([-1.0, -1.0, 1.0])).T
+    pose[:3, 3] = camera.array(("t", "T", "translation"), (3,)) * np.array([-1.0, -1.0, 1.0])
+    focal = camera.array(("fl", "focal"), (1,), (2,))
+    center = camera.array(("pp", "principal_point"), (2,)) if camera.name_of(("pp", "principal_point")) else np.zeros(2)
+    half = min(width, height) / 2
+    x, y = width / 2 - center[0] * half, height / 2 - center[1] * half
+    return camera_matrix(focal[0] * half, focal[-1] * half, x, y), pose
 
 
 def write(folder: Path, record: TrackingRecord) -> None:

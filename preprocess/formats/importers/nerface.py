@@ -16,7 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import camera_matrix, frame_list, invert_pose, last_number, number_array
-from preprocess.formats.tracking_record import TrackingRecord, require_finite
+from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
 
 TITLE = "NeRFace: transforms_{train,val,test}.json with expression and bbox (not FLAME)"
 _PARTS = ("train", "val", "test")
@@ -69,7 +69,7 @@ def read(folder: Path) -> TrackingRecord:
         version=None,
         notes=("NeRFace's coefficients are not FLAME's; without their own head model, track the video again",),
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
 def _image_size(folder: Path) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from preprocess.formats.json_fields import (
     pose_from_opengl,
     pose_to_opengl,
 )
-from preprocess.formats.tracking_record import TrackingRecord, require_finite
+from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
 
 TITLE = "NeRFBlendShape: transforms.json with exp_ori (not FLAME)"
 
@@ -69,7 +69,7 @@ def read(folder: Path) -> TrackingRecord:
         version=None,
         notes=("NeRFBlendShape's coefficients are not FLAME's; without their own head model, track the video again",),
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
 def write(folder: Path, record: TrackingRecord) -> None:

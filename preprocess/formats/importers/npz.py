@@ -9,7 +9,7 @@ import numpy as np
 from ggavatar.data.capture_schema import check_tracking, read_tracking
 from ggavatar.errors import InputError
 from ggavatar.io.npz import npz_headers, read_npz, write_npz
-from preprocess.formats.tracking_record import TrackingRecord, require_finite
+from preprocess.formats.tracking_record import MAX_BAD_SHARE, TrackingRecord, left_out_text, without_bad_frames
 
 TITLE = (
     "plain npz: intrinsics, world_to_camera, expression, joint_rotations, eyelids, translation, frames, width, height"
@@ -34,7 +34,9 @@ def read(path: Path) -> TrackingRecord:
     """
     arrays = read_tracking(path)
     count = arrays["intrinsics"].shape[0]
-    check_tracking(path, arrays, count)
+    keep = _finite_rows(arrays, count)
+    arrays = {name: value[keep] if len(value) == count and name != "shape" else value for name, value in arrays.items()}
+    check_tracking(path, arrays, int(keep.sum()))
     if arrays["joint_rotations"].shape[1] != 5:
         raise InputError(f"{path}: expected rotations of 5 joints (root, neck, jaw, left eye, right eye)")
     extra = read_npz(path, ["frames", "width", "height", "version"])
@@ -50,7 +52,7 @@ def read(path: Path) -> TrackingRecord:
     names = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "translation")
     values = {name: arrays[name].astype(np.float64) for name in names}
     record = TrackingRecord(
-        numbers=numbers.astype(np.int64),
+        numbers=numbers.astype(np.int64)[keep],
         width=width,
         height=height,
         intrinsics=values["intrinsics"],
@@ -61,8 +63,18 @@ def read(path: Path) -> TrackingRecord:
         translation=values["translation"],
         shape=arrays["shape"].astype(np.float64) if "shape" in arrays else None,
         version=str(extra["version"]) if "version" in extra else None,
+        notes=() if keep.all() else (f"{left_out_text(numbers[~keep].tolist(), count)}: not finite",),
     )
-    return require_finite(path, record)
+    return without_bad_frames(path, record)
+
+
+def _finite_rows(arrays: dict[str, np.ndarray], count: int) -> np.ndarray:
+    """Rows without NaN or infinity in any array; all rows if more than half of them would be lost."""
+    keep = np.ones(count, dtype=bool)
+    for name, value in arrays.items():
+        if name not in ("shape", "landmarks") and len(value) == count and value.dtype.kind == "f":
+            keep &= np.isfinite(value).reshape(count, -1).all(axis=1)
+    return keep if (~keep).sum() <= MAX_BAD_SHARE * count else np.ones(count, dtype=bool)
 
 
 def _size(path: Path, arrays: dict[str, np.ndarray], key: str) -> int:

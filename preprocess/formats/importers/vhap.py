@@ -1,33 +1,38 @@
 """VHAP's export, which GaussianAvatars reads: transforms.json with OpenGL cameras, one flame_param npz per timestep.
 
 FLAME 2023; the head is posed by FLAME's own rotation and translation. Of several cameras, the first is read. Teeth and
-per-frame offsets are left out; static offsets are kept for the head.
+per-frame offsets are left out; static offsets are kept for the head. Combined data sets (UNION folders) list files of
+the sequences beside them, `../SEQUENCE/…`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ggavatar.errors import InputError
+from ggavatar.io.inner_paths import path_inside
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.npz import read_npz, write_npz
+from preprocess.formats.array_table import ArrayTable, Assume
+from preprocess.formats.frame_set import Frame, collect_frames
 from preprocess.formats.json_fields import (
     camera_matrix,
     finite_number,
     frame_list,
     image_size,
     number_array,
-    path_inside,
     pose_from_opengl,
     pose_to_opengl,
 )
-from preprocess.formats.tracking_record import TrackingRecord, require_finite, stacked
+from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
+from preprocess.video.listed_images import first_camera, list_files
 
-TITLE = "VHAP export / GaussianAvatars: transforms.json with flame_param/%05d.npz"
+TITLE = "VHAP export, UNION / GaussianAvatars: transforms.json that lists flame_param/%05d.npz"
 _KEYS = (
     "translation",
     "rotation",
@@ -39,66 +44,79 @@ _KEYS = (
     "static_offset",
     "dynamic_offset",
 )
-_SPLITS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
+_MARK = b'"flame_param_path"'
+_HEAD_BYTES = 1 << 22
 
 
 def recognizes(folder: Path) -> bool:
-    """Whether the folder contains transforms.json (or one of its splits) and flame_param."""
-    return (folder / "flame_param").is_dir() and any(
-        (folder / name).is_file() for name in ("transforms.json", *_SPLITS)
-    )
+    """Whether transforms.json (or one of its splits) in the folder lists files of FLAME parameters."""
+    return any(_lists_parameters(path) for path in list_files(folder))
+
+
+def _lists_parameters(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return _MARK in stream.read(_HEAD_BYTES)
 
 
 def read(folder: Path) -> TrackingRecord:
-    """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
-    frames, source = _frames(folder)
-    camera = min((frame.get("camera_index", 0) for frame in frames), key=str)
-    cameras = {str(frame.get("camera_index", 0)) for frame in frames}
-    chosen = {_timestep(source, frame): frame for frame in frames if frame.get("camera_index", 0) == camera}
-    numbers = sorted(chosen)
-    width, height = image_size(source, chosen[numbers[0]])
-    parameters = [_parameters(path_inside(source, chosen[timestep].get("flame_param_path"))) for timestep in numbers]
+    """Read cameras and FLAME parameters; frames whose parameters cannot be read are left out.
+
+    Raises:
+        InputError: No frames, most of them cannot be read, or a listed file lies outside of the data set.
+    """
+    listed = _frames(folder)
+    camera = first_camera([frame for _, frame in listed])
+    cameras = {str(frame.get("camera_index", 0)) for _, frame in listed}
+    chosen = {_timestep(path, frame): (path, frame) for path, frame in listed if frame.get("camera_index", 0) == camera}
+    files = {
+        number: path_inside(path, frame.get("flame_param_path"), siblings=True)
+        for number, (path, frame) in chosen.items()
+    }
+    readers = {number: (file, partial(_read_entry, *chosen[number], file)) for number, file in sorted(files.items())}
+    frames = collect_frames(folder, readers)
+    height, width = frames.stacked("size")[0]
     notes = [f"camera {camera} of {len(cameras)} is used"] if len(cameras) > 1 else []
-    if any(np.any(values["dynamic_offset"]) for values in parameters if "dynamic_offset" in values):
-        notes.append("per-frame offsets of VHAP are left out")
-    offset = parameters[0].get("static_offset")
-    poses = [
-        pose_from_opengl(number_array(source, chosen[number].get("transform_matrix"), (4, 4), "'transform_matrix'"))
-        for number in numbers
-    ]
     record = TrackingRecord(
-        numbers=np.array(numbers, dtype=np.int64),
-        width=width,
-        height=height,
-        intrinsics=np.stack([_intrinsics(source, chosen[number]) for number in numbers]),
-        world_to_camera=np.stack(poses),
-        expression=stacked(folder, [values["expr"].reshape(-1) for values in parameters], "expression coefficients"),
-        joint_rotations=np.stack([_joints(values) for values in parameters]),
-        eyelids=np.zeros((len(numbers), 2)),
-        translation=np.stack([values["translation"].reshape(3) for values in parameters]),
-        shape=parameters[0]["shape"].reshape(-1),
+        numbers=np.array(frames.numbers, dtype=np.int64),
+        width=int(width),
+        height=int(height),
+        intrinsics=frames.stacked("intrinsics"),
+        world_to_camera=frames.stacked("world_to_camera"),
+        expression=frames.stacked("expression"),
+        joint_rotations=frames.stacked("joint_rotations"),
+        eyelids=np.zeros((len(frames.numbers), 2)),
+        translation=frames.stacked("translation"),
+        shape=frames.frames[0]["shape"],
         version="flame2023",
-        notes=tuple(notes),
-        extra={"static_offset": offset[0]} if offset is not None and np.any(offset) else {},
+        notes=(*notes, *frames.notes),
+        extra=_static_offset(files[frames.numbers[0]]),
     )
-    return require_finite(folder, record)
+    return without_bad_frames(folder, record)
 
 
-def _frames(folder: Path) -> tuple[list[Mapping[str, Any]], Path]:
-    """All frames with the shared top-level values filled in, and the first file."""
-    paths = (
-        [folder / "transforms.json"] if (folder / "transforms.json").is_file() else [folder / name for name in _SPLITS]
-    )
-    frames: list[Mapping[str, Any]] = []
-    for path in paths:
-        if path.is_file():
-            data = read_json(path)
-            shared = {key: data[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy") if key in data}
-            if data.get("frames"):
-                frames += [shared | dict(frame) for frame in frame_list(path, data)]
+def _read_entry(path: Path, entry: Mapping[str, Any], file: Path, assume: Assume) -> Frame:
+    """One frame in our conventions."""
+    values = parameters(file, assume)
+    width, height = image_size(path, entry)
+    pose = number_array(path, entry.get("transform_matrix"), (4, 4), "'transform_matrix'")
+    return values | {
+        "size": np.array([height, width]),
+        "intrinsics": camera_matrix(*(finite_number(path, entry, key) for key in ("fl_x", "fl_y", "cx", "cy"))),
+        "world_to_camera": pose_from_opengl(pose),
+    }
+
+
+def _frames(folder: Path) -> list[tuple[Path, Mapping[str, Any]]]:
+    """All frames with the shared top-level values filled in, each with the file that lists it."""
+    frames: list[tuple[Path, Mapping[str, Any]]] = []
+    for path in list_files(folder):
+        data = read_json(path)
+        shared = {key: data[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy") if key in data}
+        if data.get("frames"):
+            frames += [(path, shared | dict(frame)) for frame in frame_list(path, data)]
     if not frames:
         raise InputError(f"{folder}: expected frames in transforms.json, found none; export the tracking again")
-    return frames, paths[0]
+    return frames
 
 
 def _timestep(path: Path, frame: Mapping[str, Any]) -> int:
@@ -108,42 +126,38 @@ def _timestep(path: Path, frame: Mapping[str, Any]) -> int:
     return value
 
 
-def _intrinsics(path: Path, frame: Mapping[str, Any]) -> np.ndarray:
-    return camera_matrix(*(finite_number(path, frame, key) for key in ("fl_x", "fl_y", "cx", "cy")))
-
-
-def _parameters(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of one flame_param file as float64."""
+def parameters(path: Path, assume: Assume) -> dict[str, np.ndarray]:
+    """The arrays of one flame_param file in our conventions; `InputError` if one is missing or of another size."""
     values = read_npz(path, _KEYS)
-    sizes = {
-        "translation": 3,
-        "rotation": 3,
-        "neck_pose": 3,
-        "jaw_pose": 3,
-        "eyes_pose": 6,
-        "expr": None,
-        "shape": None,
+    if np.any(values.pop("dynamic_offset", 0)):
+        assume("per-frame offsets of VHAP are left out")
+    values.pop("static_offset", None)
+    table = ArrayTable(path, {key: value.reshape(-1) for key, value in values.items()}, assume, batched=False)
+    rotations = [table.array((name,), (3,)) for name in ("rotation", "neck_pose", "jaw_pose")]
+    eyes = table.array(("eyes_pose",), (6,)).reshape(2, 3)
+    return {
+        "expression": table.array(("expr",), (None,)),
+        "joint_rotations": np.concatenate((np.stack(rotations), eyes)),
+        "translation": table.array(("translation",), (3,)),
+        "shape": table.array(("shape",), (None,)),
     }
-    for key, size in sizes.items():
-        found = values.get(key)
-        if (
-            found is None
-            or found.dtype.kind != "f"
-            or (size is not None and found.size != size)
-            or not 1 <= found.size <= 1000
-        ):
-            shape = None if found is None else found.shape
-            raise InputError(f"{path}: expected {key!r} with {size or 'up to 1000'} numbers, found {shape}")
-    offset = values.get("static_offset")
-    if offset is not None and (offset.ndim != 3 or offset.shape[::2] != (1, 3) or offset.dtype.kind != "f"):
-        raise InputError(f"{path}: expected 'static_offset' of shape (1, V, 3), found {offset.shape}")
-    return {key: value.astype(np.float64) for key, value in values.items()}
 
 
-def _joints(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Rotations of root, neck, jaw, left eye and right eye."""
-    names = ("rotation", "neck_pose", "jaw_pose", "eyes_pose")
-    return np.concatenate([values[name].reshape(-1, 3) for name in names])
+def _static_offset(path: Path) -> dict[str, np.ndarray]:
+    """VHAP's static per-vertex offsets in a file, for `TrackingRecord.extra`; empty if there are none."""
+    return checked_offset(path, read_npz(path, ["static_offset"]).get("static_offset"))
+
+
+def checked_offset(path: Path, offset: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Static offsets of shape (1, V, 3) as an entry of `TrackingRecord.extra`; `InputError` for other arrays."""
+    if offset is None or not np.any(offset):
+        return {}
+    if offset.ndim != 3 or offset.shape[::2] != (1, 3) or offset.dtype.kind != "f" or not np.isfinite(offset).all():
+        raise InputError(
+            f"{path}: expected finite numbers of shape (1, V, 3) in 'static_offset', found {offset.shape}; export the "
+            "tracking again"
+        )
+    return {"static_offset": offset[0].astype(np.float64)}
 
 
 def write(folder: Path, record: TrackingRecord) -> None:
