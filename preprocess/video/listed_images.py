@@ -1,4 +1,4 @@
-"""Images that a data set lists in transforms.json with their time step, for a frame source (VHAP's export and UNION)."""
+"""Images that a data set lists in transforms.json with their time step (VHAP's export and UNION)."""
 
 from __future__ import annotations
 
