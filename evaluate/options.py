@@ -20,7 +20,7 @@ class Override:
     """Protocol fields to change; each field that differs becomes part of the protocol's id."""
 
     split: str | None = None
-    """Name of the split whose test frames are scored (every-20th, last-350, ratio-0.8, …)."""
+    """Name of the split whose test frames are scored (every-20th, last-350, ratio-0.8, …), or file:PATH."""
     background: str | None = None
     """white, black or R,G,B in 0-255."""
     mask: Literal["as-stored", "binary"] | None = None
@@ -39,6 +39,8 @@ class Override:
     def apply_to(self, protocol: Protocol) -> Protocol:
         """The protocol with these fields changed."""
         changes = {name: value for name, value in vars(self).items() if value is not None}
+        if self.split is not None:
+            changes["split"] = split_name(self.split)  # where the list lies is no property of a protocol
         if self.metrics is not None and self.table_metrics is None:
             kept = tuple(name for name in protocol.table_metrics if name in self.metrics)
             changes["table_metrics"] = kept or self.metrics
@@ -47,20 +49,22 @@ class Override:
 
 @dataclass(frozen=True)
 class Folders:
-    """Score images of any origin instead of a run."""
+    """Score pictures of any origin: with --capture as a run of that capture is scored, or against a folder (--gt)."""
 
     pred: Path | None = None
-    """Folder of predictions, named by frame number."""
+    """Folder of pictures, named by source frame number; with --capture DIR or --gt DIR."""
+    pred_as: tuple[str, ...] = ()
+    """Folders of pictures to score beside the runs, as NAME=DIR; NAME@SUBJECT=DIR if the runs show several subjects."""
     gt: Path | None = None
     """Folder of ground-truth images, named by frame number."""
     masks: Path | None = None
-    """Folder of person masks."""
+    """With --gt: folder of person masks."""
     region_masks: Path | None = None
-    """Folder with one folder of masks per region: DIR/face/000123.png."""
+    """With --gt: folder with one folder of masks per region: DIR/face/000123.png."""
     subject: str | None = None
-    """Row label; by default the name of the folder above the ground truth."""
-    method: str | None = None
-    """Column label; by default the name of the folder of predictions."""
+    """Row label; by default the capture's subject, or the name of the folder above the ground truth."""
+    method: Annotated[str | None, tyro.conf.arg(aliases=["--label"])] = None
+    """Column label; by default the name of the folder of pictures."""
     seed: int | None = None
     """Seed of the training, to tell several runs apart in the table."""
 
@@ -85,7 +89,7 @@ class Gates:
 
 @dataclass(frozen=True)
 class Options:
-    """Measure avatars and write tables. Give run folders, result files (metrics.json), or --pred and --gt."""
+    """Measure avatars and write tables. Give run folders, result files (metrics.json), or --pred with --capture."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Run folders, evaluation folders, metrics.json files, or FILE.ply with --capture, in any combination."""
@@ -100,7 +104,8 @@ class Options:
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--output-dir"])] = None
-    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, or PRED-evaluation/."""
+    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, or PRED-evaluation/.
+    The scores of pictures are written below it too; without it, beside the pictures in PRED-evaluation/eval/."""
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False
@@ -122,6 +127,12 @@ class Options:
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
     """Print neither progress nor the list of files."""
 
+    @property
+    def split_rule(self) -> str | None:
+        """The list of frames in a file that --split names, as file:PATH; None for other splits."""
+        split = self.override.split
+        return split if split is not None and split.startswith("file:") else None
+
     def base_protocol(self, split: str | None = None) -> Protocol:
         """The chosen protocol with overrides; `auto` takes the one whose split equals `split`."""
         if self.protocol != "auto":
@@ -137,20 +148,40 @@ def parse(arguments: list[str] | None) -> Options:
     """Parse the command line; an unknown flag exits with code 2 and suggests the nearest known one.
 
     Raises:
-        InputError: Neither runs nor folders, both, or only one of --pred and --gt.
+        InputError: Neither runs nor folders, or flags that contradict one another.
     """
     handle_version_flag("ggavatar-eval", arguments)
     options = tyro.cli(Options, prog="ggavatar-eval", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
-    given = (options.folders.pred is not None, options.folders.gt is not None)
-    if any(given) and not all(given):
-        missing = "--gt" if given[0] else "--pred"
-        raise InputError(f"expected both --pred and --gt, found no {missing}; pass the folder of the other images")
-    if any(given) and options.runs:
-        raise InputError("expected either run folders or --pred and --gt, found both; run the command twice")
-    only_paper = options.with_paper and options.gates == Gates()
-    if not any(given) and not options.runs and not only_paper:
-        raise InputError("expected a run folder, a metrics.json, or --pred DIR --gt DIR; see ggavatar-eval --help")
+    _check_sources(options)
     if options.labels and len(options.labels) != len(options.runs):
         found = f"{len(options.labels)} for {len(options.runs)} runs"
         raise InputError(f"expected one label per run in --labels, found {found}; list them in the order of the runs")
     return options
+
+
+def _check_sources(options: Options) -> None:
+    """Check that runs, pictures, capture and ground truth fit together."""
+    folders, capture = options.folders, options.source.capture
+    if folders.pred is not None and folders.gt is None and capture is None:
+        raise InputError(
+            "expected --capture DIR (scored as a run of that capture) or --gt DIR beside --pred, found no --gt; pass "
+            "one of them"
+        )
+    if folders.gt is not None and folders.pred is None:
+        raise InputError("expected both --pred and --gt, found no --pred; pass the folder of the other images")
+    if folders.gt is not None and capture is not None:
+        raise InputError("expected --capture or --gt, found both; the capture has its own ground truth: leave --gt out")
+    if capture is not None and (folders.masks or folders.region_masks):
+        raise InputError(
+            "expected --masks and --region-masks with --gt only, found --capture; its masks are used, leave them out"
+        )
+    if folders.pred is not None and (options.runs or folders.pred_as):
+        raise InputError(
+            "expected either runs or --pred, found both; to score pictures beside runs, pass --pred-as NAME=DIR"
+        )
+    only_paper = options.with_paper and options.gates == Gates()
+    if folders.pred is None and not folders.pred_as and not options.runs and not only_paper:
+        raise InputError(
+            "expected a run folder, a metrics.json, or --pred DIR with --capture DIR or --gt DIR; see "
+            "ggavatar-eval --help"
+        )
