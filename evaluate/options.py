@@ -22,7 +22,7 @@ class Override:
     split: str | None = None
     """Name of the split whose test frames are scored (every-20th, last-350, ratio-0.8, …), or file:PATH."""
     background: str | None = None
-    """white, black or R,G,B in 0-255."""
+    """white, black, or R,G,B from 0 to 1."""
     mask: Literal["as-stored", "binary"] | None = None
     """Use the capture's masks as they are, or thresholded at 0.5."""
     region: str | None = None

@@ -14,9 +14,12 @@ from rich.console import Console
 
 from evaluate.gates.checks import Check, to_github, write_junit
 from evaluate.gates.limits import read_limits
+from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.options import Options, parse
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.setup import Setup
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
@@ -56,6 +59,8 @@ def _evaluate(options: Options) -> int:
         write_junit(options.gates.junit, checks)
         written.append(options.gates.junit)
     if not options.quiet:
+        for one in evaluations:
+            console.print(headline(one), markup=False, highlight=False)
         for check in checks if not options.gates.github else ():
             console.print(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}", markup=False)
         for path in written:
@@ -175,7 +180,7 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
     names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
-    labels = Labels(*names, seed=folders.seed, provenance=provenance)
+    labels = Labels(*names, seed=folders.seed, provenance=provenance, setup=Setup("elsewhere"))
     models = model_folders(options.models)
     learned = None if options.no_learned else learned_metrics(protocol, models)
     faces = None if options.no_learned else face_metrics(protocol, models)
@@ -228,6 +233,16 @@ def _table_folder(options: Options) -> Path:
     return Path("evaluation")
 
 
+def headline(evaluation: Evaluation) -> str:
+    """One line on an evaluation: what was scored, how it was trained, and the means of the main table."""
+    means = []
+    for name in evaluation.protocol.table_metrics:
+        mean, metric = evaluation.summary(name).mean, metric_of(name)
+        means.append(f"{title_of(name)} {'–' if mean is None else f'{mean:.{metric.digits}f}'}")
+    label = f"{evaluation.subject} · {display_name(evaluation.method)}"
+    return f"{label} ({evaluation.setup.describe()}), {evaluation.protocol.id}: {', '.join(means)}"
+
+
 def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks: Sequence[Check]) -> dict[str, Any]:
     """The JSON summary for a calling program."""
     found = [
@@ -235,6 +250,7 @@ def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks:
             "subject": e.subject,
             "method": e.method,
             "seed": e.seed,
+            "setup": e.setup.as_dict(),
             "protocol": e.protocol.id,
             "digest": e.protocol.digest,
             "frames": len(e.frames),

@@ -49,7 +49,7 @@ class Setup:
         others = {
             "gaussian file": "a file of Gaussians, rendered here",
             "elsewhere": "rendered elsewhere",
-            NOT_RECORDED: "preset, length and perceptual loss not recorded (score it again)",
+            NOT_RECORDED: "setup not recorded",
         }
         if self.origin != "run":
             return others[self.origin]

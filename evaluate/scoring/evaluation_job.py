@@ -88,7 +88,7 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
     learned = None if options.no_learned else learned_metrics(protocol, folders)
     faces = None if options.no_learned else face_metrics(protocol, folders)
     labels = job.labels(filled.summary)
-    for note in labels.notes:
+    for note in labels.notes if labels.setup.origin == "run" else ():
         reporter.warn(f"{labels.subject}, {labels.method}: {note}")
     weights = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
     earlier = _stored(home)

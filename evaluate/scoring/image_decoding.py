@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.scoring.ground_truth import Color
+from ggavatar.data.background import Color
 from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 

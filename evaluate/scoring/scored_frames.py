@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from evaluate.protocols.protocol import GIVEN, Protocol
-from evaluate.scoring.ground_truth import Color, GroundTruth
+from evaluate.scoring.ground_truth import GroundTruth
+from ggavatar.data.background import Color
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError

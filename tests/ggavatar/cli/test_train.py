@@ -1,7 +1,4 @@
-"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost.
-
-Also covers `ggavatar/data/background.py`.
-"""
+"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost."""
 
 from __future__ import annotations
 
