@@ -19,11 +19,11 @@ from ggavatar.errors import InputError
 @pytest.mark.parametrize(
     ("text", "color"),
     [
-        ("white", (1, 1, 1)),
-        ("black", (0, 0, 0)),
-        ("0,1,0", (0, 1, 0)),
+        ("white", (1.0, 1.0, 1.0)),
+        ("black", (0.0, 0.0, 0.0)),
+        ("0,1,0", (0.0, 1.0, 0.0)),
         (" .5, 0.25 ,1e-1", (0.5, 0.25, 0.1)),
-        ("1,1,1", (1, 1, 1)),
+        ("1,1,1", (1.0, 1.0, 1.0)),
     ],
 )
 def test_names_and_triples(text: str, color: tuple[float, float, float]) -> None:
@@ -43,7 +43,7 @@ def test_levels_up_to_255_are_answered_with_the_color_to_pass() -> None:
     advice = re.findall(r"--background (\S+)", str(caught.value))[-1]
     assert [round(255 * part) for part in parse_background(advice)] == [128, 0, 255]
     for level in range(256):
-        color = parse_background(background_text((level / 255, 0, 0)))
+        color = parse_background(background_text((level / 255, 0.0, 0.0)))
         assert round(255 * color[0]) == level, "four decimals keep every 8-bit level"
 
 
