@@ -69,6 +69,10 @@ class Folders:
     """Seed of the training, to tell several runs apart in the table."""
 
 
+Difference = Literal["ground-truth", "protocol", "method", "preset", "length", "features", "settings"]
+"""What can make an earlier result incomparable."""
+
+
 @dataclass(frozen=True)
 class Gates:
     """Checks that make the command exit with code 3."""
@@ -78,13 +82,20 @@ class Gates:
     fail_above: tuple[str, ...] = ()
     """Largest allowed means, such as lpips=0.1."""
     compare: tuple[Path, ...] = ()
-    """Earlier metrics.json files (or their folders) that the results must not be worse than."""
+    """Earlier results that the new ones must not be worse than: runs, evaluation folders, metrics.json files, or files
+    of --write-baseline."""
     tolerance: tuple[str, ...] = ()
-    """How much worse than --compare a mean may be, such as psnr=0.1."""
+    """How much worse than --compare a mean may be, such as psnr=0.1 l1=2% psnr@mouth=0.5; for regions twice as much,
+    unless they are named."""
+    allow_other: tuple[Difference, ...] = ()
+    """What may differ from --compare (exit code 2 otherwise): ground-truth protocol method preset length features
+    settings."""
+    write_baseline: Path | None = None
+    """Write the means to this file, for --compare in later calls, if no check has failed."""
     junit: Path | None = None
     """Write the checks as JUnit XML to this file."""
     github: bool = False
-    """Print the checks as GitHub annotations."""
+    """Print failed checks as GitHub annotations with one summary, and append a table to $GITHUB_STEP_SUMMARY."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +121,9 @@ class Options:
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False
     """Add the paper's rows below ours (their protocol is not stated); without runs, write its Tables 1 and 2 alone."""
+    paper_subjects: tuple[str, ...] = ()
+    """The paper's subject for each of ours, as NAME=ID1,NAME=ID2: its numbers stand in the same lines, marked, and are
+    not ranked with ours."""
     no_report: bool = False
     """Skip the HTML report, the comparison figure, the side-by-side video and the curves."""
     no_learned: Annotated[bool, tyro.conf.arg(aliases=["--no-lpips"])] = False

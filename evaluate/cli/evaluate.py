@@ -12,8 +12,10 @@ from typing import Any
 
 from rich.console import Console
 
-from evaluate.gates.checks import Check, to_github, write_junit
+from evaluate.gates.baselines import write_baseline
+from evaluate.gates.checks import Check
 from evaluate.gates.limits import read_limits
+from evaluate.gates.reports import append_step_summary, to_github, write_junit
 from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.options import Options, parse
 from evaluate.protocols.method_names import display_name
@@ -45,7 +47,7 @@ def _evaluate(options: Options) -> int:
     limits = read_limits(options.gates)
     evaluated, written = _collect(options)
     evaluations = [one.evaluation for one in evaluated]
-    tables = build_tables(evaluations, options.layout, options.with_paper)
+    tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options)
     written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
     if not options.no_report:
@@ -58,6 +60,9 @@ def _evaluate(options: Options) -> int:
     if options.gates.junit:
         write_junit(options.gates.junit, checks)
         written.append(options.gates.junit)
+    if options.gates.write_baseline and all(check.passed for check in checks):
+        write_baseline(options.gates.write_baseline, evaluations)
+        written.append(options.gates.write_baseline)
     if not options.quiet:
         for one in evaluations:
             console.print(headline(one), markup=False, highlight=False)
@@ -79,6 +84,7 @@ def _finish(options: Options, evaluations: list[Evaluation], written: list[Path]
     """Print annotations and the summary line, and return the exit code."""
     if options.gates.github:
         sys.stdout.write(to_github(checks))
+        append_step_summary(checks)
     if options.json:
         sys.stdout.write(json.dumps(_summary(evaluations, written, checks), allow_nan=False) + "\n")
     sys.stdout.flush()
@@ -239,8 +245,8 @@ def headline(evaluation: Evaluation) -> str:
     for name in evaluation.protocol.table_metrics:
         mean, metric = evaluation.summary(name).mean, metric_of(name)
         means.append(f"{title_of(name)} {'–' if mean is None else f'{mean:.{metric.digits}f}'}")
-    label = f"{evaluation.subject} · {display_name(evaluation.method)}"
-    return f"{label} ({evaluation.setup.describe()}), {evaluation.protocol.id}: {', '.join(means)}"
+    label = " ".join(f"{evaluation.subject} · {display_name(evaluation.method)}".split())
+    return f"scored {label} ({evaluation.setup.describe()}), {evaluation.protocol.id}: {', '.join(means)}"
 
 
 def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks: Sequence[Check]) -> dict[str, Any]:

@@ -120,6 +120,17 @@ def test_gates_end_with_code_3_and_say_what_failed(tmp_path: Path, capsys: pytes
     assert score(tmp_path, "--compare", str(baseline), "--tolerance", "psnr=0.1") == 3
     assert "worse by" in capsys.readouterr().err
     assert score(tmp_path, "--compare", str(baseline), "--tolerance", "psnr=90", "psnr_pooled=90", "ssim=2") == 0
+    kept = tmp_path / "kept.json"
+    assert score(tmp_path, "--fail-below", "psnr=90", "--write-baseline", str(kept)) == 3 and not kept.exists()
+    assert score(tmp_path, "--write-baseline", str(kept)) == 0
+    capsys.readouterr()
+    assert score(tmp_path, "--compare", str(kept), "--github") == 0
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("::")]
+    assert len(printed) == 1 and "checks passed" in printed[0]
+    write(tmp_path / "gt" / "000001.png", pair(shift=30)[0])
+    assert score(tmp_path, "--compare", str(kept)) == 2
+    assert "--allow-other ground-truth" in capsys.readouterr().err
+    assert score(tmp_path, "--compare", str(kept), "--allow-other", "ground-truth") == 3
 
 
 def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

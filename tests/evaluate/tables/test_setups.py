@@ -123,7 +123,9 @@ def test_metrics_json_keeps_the_setup_and_the_console_shows_it(tmp_path: Path) -
     }  # fmt: skip
     assert read_results(tmp_path).setup == changed
     line = headline(made)
-    assert re.match(r"Anna · GGAvatar \(preset paper, 120000 steps, perceptual loss none, rates=\[1, 2\]\), ", line)
+    assert re.match(
+        r"scored Anna · GGAvatar \(preset paper, 120000 steps, perceptual loss none, rates=\[1, 2\]\), ", line
+    )
     assert line.endswith("PSNR 30.50, SSIM 0.910, LPIPS 0.090")
 
 
