@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from evaluate.cli.evaluate import main
+from evaluate.options import parse
 from tests.support.image_pairs import pair, write, write_folders
 
 PLAIN = ["--no-report", "--quiet", "--metrics", "psnr", "ssim"]
@@ -194,6 +195,7 @@ def test_a_path_with_a_leading_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 SCRIPT = """
 import sys
 from evaluate.cli.evaluate import main
+from evaluate.options import parse
 try:
     code = main(sys.argv[1:])
 except SystemExit as caught:
@@ -217,3 +219,10 @@ def test_help_and_scoring_without_learned_metrics_import_no_torch(tmp_path: Path
     nothing = ["--models", str(tmp_path), "--no-report", "--quiet"]
     code, modules = imported([*folders, *nothing, "--no-lpips"])
     assert (code, modules) == (0, "[]")
+
+
+def test_the_commands_of_the_ci_document_are_understood() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "ci.md").read_text(encoding="utf-8")
+    commands = [line.split("ggavatar-eval ")[1].split() for line in text.splitlines() if "ggavatar-eval run" in line]
+    gate, write = (parse(words) for words in commands)
+    assert gate.gates.github and gate.gates.compare == (write.gates.write_baseline,)

@@ -126,7 +126,7 @@ def test_several_subjects_need_names(run: Run, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"2 subjects \(toy, second\).*a@toy=x"):
         found("a=x")
     with pytest.raises(InputError, match="did you mean second"):
-        found("a@secnd=x")
+        found("a@secon=x")
     for text in ("a", "=x", "a="):
         with pytest.raises(InputError, match="NAME=DIR"):
             parse_named_folder(text)

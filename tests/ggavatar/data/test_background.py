@@ -31,7 +31,7 @@ def test_names_and_triples(text: str, color: tuple[float, float, float]) -> None
     assert parse_background(background_text(color)) == color
 
 
-@pytest.mark.parametrize("text", ["whit", "", "0,1", "0,1,0,1", "a,b,c", "nan,0,0", "-0.1,0,0", "inf,0,0", "0,0,256"])
+@pytest.mark.parametrize("text", ["wite", "", "0,1", "0,1,0,1", "a,b,c", "nan,0,0", "-0.1,0,0", "inf,0,0", "0,0,256"])
 def test_anything_else_is_refused_with_the_unit(text: str) -> None:
     with pytest.raises(InputError, match="from 0 to 1"):
         parse_background(text)
