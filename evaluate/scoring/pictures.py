@@ -64,7 +64,7 @@ def find_pictures(options: Options) -> list[Pictures]:
         capture = Capture.open(options.source.capture or Path())
         return [Pictures(folders.method or folders.pred.resolve().name, folders.pred, capture)]
     known = _subjects(options)
-    found = []
+    found: list[Pictures] = []
     for text in folders.pred_as:
         name, folder = parse_named_folder(text)
         label, at, subject = name.partition("@")
@@ -78,6 +78,8 @@ def find_pictures(options: Options) -> list[Pictures]:
                 f"pictures, for example {label}@{next(iter(known))}={folder}"
             )
         capture, own, background = known[subject] if at else next(iter(known.values()))
+        if any((one.label, one.capture.subject) == (label, capture.subject) for one in found):
+            raise InputError(f"--pred-as {text}: {label} of {capture.subject} is named twice; give it another name")
         found.append(Pictures(label, folder, capture, own, background))
     return found
 

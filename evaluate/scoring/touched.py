@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from evaluate.protocols.results import Evaluation
-from evaluate.scoring.frame_store import FOLDERS, changed_frames, folder_digest, read_digests
+from evaluate.scoring.frame_store import changed_frames, folder_digest, read_digests
 from ggavatar.errors import InputError
 
 
@@ -28,9 +28,8 @@ def touched_images(evaluation: Evaluation, home: Path) -> list[str]:
 
 def require_untouched(evaluation: Evaluation, home: Path) -> None:
     """Raise `InputError` if the images beside stored scores are not those that were scored."""
-    if not any((home / name).is_dir() for name in FOLDERS):
-        return  # images made elsewhere, or a copy of the scores alone
-    if touched := touched_images(evaluation, home):
+    # Folders that are not there: images made elsewhere, or a copy of the scores alone.
+    if touched := [name for name in touched_images(evaluation, home) if (home / name).is_dir()]:
         frames = tuple(sorted(changed_frames(read_digests(home), evaluation.frames)))
         which = f": {changed_words(frames)}" if frames else ""
         raise InputError(

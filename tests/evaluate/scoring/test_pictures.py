@@ -127,6 +127,8 @@ def test_several_subjects_need_names(run: Run, tmp_path: Path) -> None:
         found("a=x")
     with pytest.raises(InputError, match="did you mean second"):
         found("a@secon=x")
+    with pytest.raises(InputError, match="a of toy is named twice"):
+        find_pictures(dataclasses.replace(OPTIONS, runs=(run.folder,), folders=Folders(pred_as=("a=x", "a=y"))))
     for text in ("a", "=x", "a="):
         with pytest.raises(InputError, match="NAME=DIR"):
             parse_named_folder(text)

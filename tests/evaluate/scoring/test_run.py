@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -218,6 +219,8 @@ def test_stored_scores_whose_images_changed_are_refused(run: Run) -> None:
     (file.parent / "predictions" / "000010.png").unlink()
     with pytest.raises(InputError, match="in predictions"):
         require_untouched(found, file.parent)
+    shutil.rmtree(file.parent / "predictions")
+    require_untouched(found, file.parent)  # scores without their images are still what they were
 
 
 def test_a_changed_region_mask_is_noticed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
