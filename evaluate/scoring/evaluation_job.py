@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, runtime_checkable
 from typing import Protocol as Interface
 
+from evaluate.metrics.network_files import NO_WEIGHTS
 from evaluate.options import Options
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
@@ -28,8 +29,7 @@ from evaluate.scoring.touched import changed_words, touched_images
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import read_json
-from ggavatar.pretrained.folders import model_folders
-from ggavatar.pretrained.lpips import NO_WEIGHTS
+from ggavatar.pretrained.resolve import ModelFinder
 
 
 @runtime_checkable
@@ -84,9 +84,9 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
     filled = job.fill(reporter.progress(job.title))
     if filled.changed:
         reporter.warn(f"{home}: {changed_words(filled.changed)} changed after they were written; made again")
-    folders = model_folders(options.models)
-    learned = None if options.no_learned else learned_metrics(protocol, folders)
-    faces = None if options.no_learned else face_metrics(protocol, folders)
+    models = ModelFinder(options.models, options.offline)
+    learned = None if options.no_learned else learned_metrics(protocol, models)
+    faces = None if options.no_learned else face_metrics(protocol, models)
     labels = job.labels(filled.summary)
     for note in labels.notes if labels.setup.origin == "run" else ():
         reporter.warn(f"{labels.subject}, {labels.method}: {note}")

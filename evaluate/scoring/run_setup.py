@@ -20,15 +20,16 @@ def setup_of_run(run: Run) -> Setup:
     """The setup of an opened run or of a file of Gaussians opened as one."""
     if "file" in run.provenance:
         return Setup("gaussian file")
-    features = perceptual_features(run.provenance)
+    features = perceptual_features(run.provenance, run.config.method_config)
     return Setup("run", run.config.method, run.config.preset, run.step, features, changed_settings(run.config))
 
 
-def perceptual_features(provenance: Mapping[str, Any]) -> str:
-    """Features of the perceptual loss as the training recorded them; `none` if it had no such loss."""
+def perceptual_features(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+    """Features of the perceptual loss: as the training recorded them, else as it was set; `none` without the loss."""
     notes = provenance.get("notes")
     found = provenance.get("perceptual_loss") or (notes.get("perceptual_loss") if isinstance(notes, Mapping) else None)
-    return str(found or "none")
+    wanted = settings.get("perceptual_features") if settings.get("perceptual_weight") else None
+    return str(found or wanted or "none")
 
 
 def changed_settings(config: RunConfig) -> dict[str, Any]:
@@ -39,6 +40,7 @@ def changed_settings(config: RunConfig) -> dict[str, Any]:
         usual = _fields(registry.load(config.method).config(config.preset))
     except InputError:
         return found
+    usual.pop("perceptual_features", None)  # stated by itself, and settled for the training
     return found | _differences(config.method_config, usual)
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.losses.crop_sampler import Box, CropSampler
-from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss
+from ggavatar.losses.vgg import FeatureChoice, PerceptualLoss, perceptual_loss
 from ggavatar.optim.seeding import seeded
 
 
@@ -22,12 +22,14 @@ class PerceptualTerm:
         crops: Sampler of the crops; None compares whole images.
         seed: Seed of the crops.
         stream: Stream of the seed, so that the draws are independent of others.
+        features: What is compared: "best", "vgg16" or "random", as in `perceptual_loss`.
     """
 
     weight: float
     crops: CropSampler | None = None
     seed: int = 42
     stream: int = 3
+    features: FeatureChoice = "best"
     _network: list[PerceptualLoss] = field(default_factory=list, repr=False)
 
     def __call__(
@@ -49,7 +51,7 @@ class PerceptualTerm:
                 return {}
             window, weight = drawn, weight / self.crops.probability
         if not self._network:
-            self._network.append(perceptual_loss().to(target.device))
+            self._network.append(perceptual_loss(self.features).to(target.device))
         return {"perceptual": weight * self._network[0](image[window], target[window])}
 
     def notes(self) -> dict[str, str]:

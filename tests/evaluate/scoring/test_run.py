@@ -245,7 +245,7 @@ def test_the_setup_says_how_the_run_was_trained(run: Run) -> None:
     plan = dataclasses.replace(preset("fast", "cpu"), steps=300, max_gaussians=500)
     config = dataclasses.replace(run.config, method="ggavatar", preset="fast", training=plan)
     fast = dataclasses.asdict(registry.load("ggavatar").config("fast"))
-    trained = dataclasses.replace(config, method_config={**fast, "latent": 3})
+    trained = dataclasses.replace(config, method_config={**fast, "latent": 3, "perceptual_features": "vgg16"})
     told = dataclasses.replace(run, config=trained, provenance={"perceptual_loss": "vgg16"})
     setup = setup_of_run(told)
     assert (setup.origin, setup.method, setup.preset, setup.steps) == ("run", "ggavatar", "fast", run.step)
@@ -264,13 +264,16 @@ def to_plain_lists(values: dict[str, object]) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    ("provenance", "shown"),
+    ("provenance", "settings", "shown"),
     [
-        ({"perceptual_loss": "random"}, "random"),
-        ({"notes": {"perceptual_loss": "vgg16-relu2_2"}}, "vgg16-relu2_2"),
-        ({"notes": {}}, "none"),
-        ({}, "none"),
+        ({"perceptual_loss": "random"}, {"perceptual_weight": 0.1, "perceptual_features": "vgg16"}, "random"),
+        ({"notes": {"perceptual_loss": "vgg16-relu2_2"}}, {}, "vgg16-relu2_2"),
+        ({"notes": {}}, {"perceptual_weight": 0.1, "perceptual_features": "vgg16"}, "vgg16"),
+        ({"notes": {}}, {"perceptual_weight": 0.0, "perceptual_features": "vgg16"}, "none"),
+        ({}, {}, "none"),
     ],
 )
-def test_features_are_those_that_the_training_recorded(provenance: dict[str, object], shown: str) -> None:
-    assert perceptual_features(provenance) == shown
+def test_features_are_those_that_the_training_recorded(
+    provenance: dict[str, object], settings: dict[str, object], shown: str
+) -> None:
+    assert perceptual_features(provenance, settings) == shown
