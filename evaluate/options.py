@@ -20,9 +20,9 @@ class Override:
     """Protocol fields to change; each field that differs becomes part of the protocol's id."""
 
     split: str | None = None
-    """Name of the split whose test frames are scored (every-20th, last-350, ratio-0.8, …)."""
+    """Name of the split whose test frames are scored (every-20th, last-350, ratio-0.8, …), or file:PATH."""
     background: str | None = None
-    """white, black or R,G,B in 0-255."""
+    """white, black, or R,G,B from 0 to 1."""
     mask: Literal["as-stored", "binary"] | None = None
     """Use the capture's masks as they are, or thresholded at 0.5."""
     region: str | None = None
@@ -39,6 +39,8 @@ class Override:
     def apply_to(self, protocol: Protocol) -> Protocol:
         """The protocol with these fields changed."""
         changes = {name: value for name, value in vars(self).items() if value is not None}
+        if self.split is not None:
+            changes["split"] = split_name(self.split)  # where the list lies is no property of a protocol
         if self.metrics is not None and self.table_metrics is None:
             kept = tuple(name for name in protocol.table_metrics if name in self.metrics)
             changes["table_metrics"] = kept or self.metrics
@@ -47,22 +49,28 @@ class Override:
 
 @dataclass(frozen=True)
 class Folders:
-    """Score images of any origin instead of a run."""
+    """Score pictures of any origin: with --capture as a run of that capture is scored, or against a folder (--gt)."""
 
     pred: Path | None = None
-    """Folder of predictions, named by frame number."""
+    """Folder of pictures, named by source frame number; with --capture DIR or --gt DIR."""
+    pred_as: tuple[str, ...] = ()
+    """Folders of pictures to score beside the runs, as NAME=DIR; NAME@SUBJECT=DIR if the runs show several subjects."""
     gt: Path | None = None
     """Folder of ground-truth images, named by frame number."""
     masks: Path | None = None
-    """Folder of person masks."""
+    """With --gt: folder of person masks."""
     region_masks: Path | None = None
-    """Folder with one folder of masks per region: DIR/face/000123.png."""
+    """With --gt: folder with one folder of masks per region: DIR/face/000123.png."""
     subject: str | None = None
-    """Row label; by default the name of the folder above the ground truth."""
-    method: str | None = None
-    """Column label; by default the name of the folder of predictions."""
+    """Row label; by default the capture's subject, or the name of the folder above the ground truth."""
+    method: Annotated[str | None, tyro.conf.arg(aliases=["--label"])] = None
+    """Column label; by default the name of the folder of pictures."""
     seed: int | None = None
     """Seed of the training, to tell several runs apart in the table."""
+
+
+Difference = Literal["ground-truth", "protocol", "method", "preset", "length", "features", "settings"]
+"""What can make an earlier result incomparable."""
 
 
 @dataclass(frozen=True)
@@ -74,18 +82,25 @@ class Gates:
     fail_above: tuple[str, ...] = ()
     """Largest allowed means, such as lpips=0.1."""
     compare: tuple[Path, ...] = ()
-    """Earlier metrics.json files (or their folders) that the results must not be worse than."""
+    """Earlier results that the new ones must not be worse than: runs, evaluation folders, metrics.json files, or files
+    of --write-baseline."""
     tolerance: tuple[str, ...] = ()
-    """How much worse than --compare a mean may be, such as psnr=0.1."""
+    """How much worse than --compare a mean may be, such as psnr=0.1 l1=2% psnr@mouth=0.5; for regions twice as much,
+    unless they are named."""
+    allow_other: tuple[Difference, ...] = ()
+    """What may differ from --compare (exit code 2 otherwise): ground-truth protocol method preset length features
+    settings."""
+    write_baseline: Path | None = None
+    """Write the means to this file, for --compare in later calls, if no check has failed."""
     junit: Path | None = None
     """Write the checks as JUnit XML to this file."""
     github: bool = False
-    """Print the checks as GitHub annotations."""
+    """Print failed checks as GitHub annotations with one summary, and append a table to $GITHUB_STEP_SUMMARY."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Measure avatars and write tables. Give run folders, result files (metrics.json), or --pred and --gt."""
+    """Measure avatars and write tables. Give run folders, result files (metrics.json), or --pred with --capture."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Run folders, evaluation folders, metrics.json files, or FILE of Gaussians with --capture, in any combination."""
@@ -100,11 +115,15 @@ class Options:
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--output-dir"])] = None
-    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, or PRED-evaluation/."""
+    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, or PRED-evaluation/.
+    The scores of pictures are written below it too; without it, beside the pictures in PRED-evaluation/eval/."""
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False
     """Add the paper's rows below ours (their protocol is not stated); without runs, write its Tables 1 and 2 alone."""
+    paper_subjects: tuple[str, ...] = ()
+    """The paper's subject for each of ours, as NAME=ID1,NAME=ID2: its numbers stand in the same lines, marked, and are
+    not ranked with ours."""
     no_report: bool = False
     """Skip the HTML report, the comparison figure, the side-by-side video and the curves."""
     no_learned: Annotated[bool, tyro.conf.arg(aliases=["--no-lpips"])] = False
@@ -124,6 +143,12 @@ class Options:
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
     """Print neither progress nor the list of files."""
 
+    @property
+    def split_rule(self) -> str | None:
+        """The list of frames in a file that --split names, as file:PATH; None for other splits."""
+        split = self.override.split
+        return split if split is not None and split.startswith("file:") else None
+
     def base_protocol(self, split: str | None = None) -> Protocol:
         """The chosen protocol with overrides; `auto` takes the one whose split equals `split`."""
         if self.protocol != "auto":
@@ -139,20 +164,40 @@ def parse(arguments: list[str] | None) -> Options:
     """Parse the command line; an unknown flag exits with code 2 and suggests the nearest known one.
 
     Raises:
-        InputError: Neither runs nor folders, both, or only one of --pred and --gt.
+        InputError: Neither runs nor folders, or flags that contradict one another.
     """
     handle_version_flag("ggavatar-eval", arguments)
     options = tyro.cli(Options, prog="ggavatar-eval", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
-    given = (options.folders.pred is not None, options.folders.gt is not None)
-    if any(given) and not all(given):
-        missing = "--gt" if given[0] else "--pred"
-        raise InputError(f"expected both --pred and --gt, found no {missing}; pass the folder of the other images")
-    if any(given) and options.runs:
-        raise InputError("expected either run folders or --pred and --gt, found both; run the command twice")
-    only_paper = options.with_paper and options.gates == Gates()
-    if not any(given) and not options.runs and not only_paper:
-        raise InputError("expected a run folder, a metrics.json, or --pred DIR --gt DIR; see ggavatar-eval --help")
+    _check_sources(options)
     if options.labels and len(options.labels) != len(options.runs):
         found = f"{len(options.labels)} for {len(options.runs)} runs"
         raise InputError(f"expected one label per run in --labels, found {found}; list them in the order of the runs")
     return options
+
+
+def _check_sources(options: Options) -> None:
+    """Check that runs, pictures, capture and ground truth fit together."""
+    folders, capture = options.folders, options.source.capture
+    if folders.pred is not None and folders.gt is None and capture is None:
+        raise InputError(
+            "expected --capture DIR (scored as a run of that capture) or --gt DIR beside --pred, found no --gt; pass "
+            "one of them"
+        )
+    if folders.gt is not None and folders.pred is None:
+        raise InputError("expected both --pred and --gt, found no --pred; pass the folder of the other images")
+    if folders.gt is not None and capture is not None:
+        raise InputError("expected --capture or --gt, found both; the capture has its own ground truth: leave --gt out")
+    if capture is not None and (folders.masks or folders.region_masks):
+        raise InputError(
+            "expected --masks and --region-masks with --gt only, found --capture; its masks are used, leave them out"
+        )
+    if folders.pred is not None and (options.runs or folders.pred_as):
+        raise InputError(
+            "expected either runs or --pred, found both; to score pictures beside runs, pass --pred-as NAME=DIR"
+        )
+    only_paper = options.with_paper and options.gates == Gates()
+    if folders.pred is None and not folders.pred_as and not options.runs and not only_paper:
+        raise InputError(
+            "expected a run folder, a metrics.json, or --pred DIR with --capture DIR or --gt DIR; see "
+            "ggavatar-eval --help"
+        )

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from evaluate.gates.checks import Check, to_github, write_junit
+from evaluate.gates.baselines import write_baseline
+from evaluate.gates.checks import Check
 from evaluate.gates.limits import read_limits
+from evaluate.gates.reports import append_step_summary, to_github, write_junit
+from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.options import Options, parse
+from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.setup import Setup
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
@@ -40,12 +45,13 @@ def _evaluate(options: Options) -> int:
     """Score the given runs or folders, write and print tables and figures, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = read_limits(options.gates)
-    evaluations, written = _collect(options)
-    tables = build_tables(evaluations, options.layout, options.with_paper)
+    evaluated, written = _collect(options)
+    evaluations = [one.evaluation for one in evaluated]
+    tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options)
-    written += write_tables(tables, folder, _result_files(options, evaluations, folder))
+    written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
     if not options.no_report:
-        written += _write_figures(options, evaluations, folder)
+        written += _write_figures(options, evaluated, folder)
     if options.table:
         console.print()
         for table in (table for table in tables if table.name not in ("detail", "sources")):
@@ -54,7 +60,12 @@ def _evaluate(options: Options) -> int:
     if options.gates.junit:
         write_junit(options.gates.junit, checks)
         written.append(options.gates.junit)
+    if options.gates.write_baseline and all(check.passed for check in checks):
+        write_baseline(options.gates.write_baseline, evaluations)
+        written.append(options.gates.write_baseline)
     if not options.quiet:
+        for one in evaluations:
+            console.print(headline(one), markup=False, highlight=False)
         for check in checks if not options.gates.github else ():
             console.print(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}", markup=False)
         for path in written:
@@ -62,20 +73,18 @@ def _evaluate(options: Options) -> int:
     return _finish(options, evaluations, written, checks)
 
 
-def _result_files(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
+def _result_files(evaluated: Sequence[Evaluated], labels: bool, folder: Path) -> list[Path]:
     """The result files behind the tables: the single one scored or read, or copies of several beside the table."""
-    if len(evaluations) != 1 or options.labels:
-        return write_copies(evaluations, folder)
-    if options.folders.pred:
-        return [folder / METRICS_FILE]
-    path = results_folder(options.runs[0])
-    return [path if path.is_file() else _metrics_folder(path, evaluations[0]) / METRICS_FILE]
+    if len(evaluated) != 1 or labels:
+        return write_copies([one.evaluation for one in evaluated], folder)
+    return [evaluated[0].results]
 
 
 def _finish(options: Options, evaluations: list[Evaluation], written: list[Path], checks: list[Check]) -> int:
     """Print annotations and the summary line, and return the exit code."""
     if options.gates.github:
         sys.stdout.write(to_github(checks))
+        append_step_summary(checks)
     if options.json:
         sys.stdout.write(json.dumps(_summary(evaluations, written, checks), allow_nan=False) + "\n")
     sys.stdout.flush()
@@ -84,30 +93,88 @@ def _finish(options: Options, evaluations: list[Evaluation], written: list[Path]
     return 0
 
 
-def _collect(options: Options) -> tuple[list[Evaluation], list[Path]]:
-    """Evaluations of the given runs or folders, and the files written for them."""
-    if options.folders.pred:
+@dataclass(frozen=True)
+class Evaluated:
+    """An evaluation and where it lies.
+
+    Attributes:
+        evaluation: The scores.
+        results: Its metrics.json.
+        images: Folders of predictions and ground truth; None where they are those beside the results.
+    """
+
+    evaluation: Evaluation
+    results: Path
+    images: tuple[Path, Path] | None = None
+
+
+@dataclass(frozen=True)
+class ConsoleReporter:
+    """Progress bars and warnings on stderr."""
+
+    stack: ExitStack
+    quiet: bool
+
+    def progress(self, title: str) -> Callable[[int, int], None] | None:
+        """A progress bar that ends with the stack."""
+        return self.stack.enter_context(show_progress(title, self.quiet))
+
+    def warn(self, text: str) -> None:
+        """One line on stderr, even with --quiet."""
+        sys.stderr.write(f"warning: {text}\n")
+
+
+def _collect(options: Options) -> tuple[list[Evaluated], list[Path]]:
+    """Evaluations of the given runs, folders and pictures, and the files written for them."""
+    if options.folders.pred and options.folders.gt:
         with show_progress("scoring", options.quiet) as progress:
             evaluation = score_folders(options, progress)
-        return [evaluation], write_results(evaluation, _table_folder(options))
-    evaluations: list[Evaluation] = []
+        folder = _table_folder(options)
+        images = options.folders.pred, options.folders.gt
+        return [Evaluated(evaluation, folder / METRICS_FILE, images)], write_results(evaluation, folder)
+    found: list[Evaluated] = []
     written: list[Path] = []
     for path in options.runs:
         if not is_gaussian_file(path) and (path.is_file() or (path / METRICS_FILE).is_file()):
-            evaluations.append(read_results(path))
+            found.append(_stored(path))
             continue
         from evaluate.scoring.run import evaluate_run
 
         with ExitStack() as stack:
-            evaluation, files = evaluate_run(
-                path, options, lambda title: stack.enter_context(show_progress(title, options.quiet))
-            )
-        evaluations.append(evaluation)
+            evaluation, files = evaluate_run(path, options, ConsoleReporter(stack, options.quiet))
+        found.append(Evaluated(evaluation, files[0]))
         written += files
     if options.labels:
-        pairs = zip(evaluations, options.labels, strict=True)
-        evaluations = [dataclasses.replace(evaluation, method=label) for evaluation, label in pairs]
-    return evaluations, written
+        pairs = zip(found, options.labels, strict=True)
+        found = [replace(one, evaluation=replace(one.evaluation, method=label)) for one, label in pairs]
+    pictures, files = _collect_pictures(options)
+    return found + pictures, written + files
+
+
+def _stored(path: Path) -> Evaluated:
+    """Stored scores; `InputError` if the images beside them are not those that were scored."""
+    from evaluate.scoring.touched import require_untouched
+
+    evaluation = read_results(path)
+    results = path if path.is_file() else path / METRICS_FILE
+    require_untouched(evaluation, results.parent)
+    return Evaluated(evaluation, results)
+
+
+def _collect_pictures(options: Options) -> tuple[list[Evaluated], list[Path]]:
+    """Evaluations of pictures made elsewhere, and the files written for them."""
+    if not options.folders.pred and not options.folders.pred_as:
+        return [], []
+    from evaluate.scoring.pictures import evaluate_pictures, find_pictures
+
+    found: list[Evaluated] = []
+    written: list[Path] = []
+    for pictures in find_pictures(options):
+        with ExitStack() as stack:
+            evaluation, files = evaluate_pictures(pictures, options, ConsoleReporter(stack, options.quiet))
+        found.append(Evaluated(evaluation, files[0]))
+        written += files
+    return found, written
 
 
 def score_folders(options: Options, progress: Callable[[int, int], None] | None = None) -> Evaluation:
@@ -119,7 +186,7 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
     names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
-    labels = Labels(*names, seed=folders.seed, provenance=provenance)
+    labels = Labels(*names, seed=folders.seed, provenance=provenance, setup=Setup("elsewhere"))
     models = ModelFinder(options.models, options.offline)
     learned = None if options.no_learned else learned_metrics(protocol, models)
     faces = None if options.no_learned else face_metrics(protocol, models)
@@ -140,34 +207,24 @@ def folder_protocol(options: Options) -> Protocol:
     return protocol.override(regions=known)
 
 
-def _write_figures(options: Options, evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
+def _write_figures(options: Options, evaluated: Sequence[Evaluated], folder: Path) -> list[Path]:
     """Write report, comparison, video and curves of every evaluation with images, and comparisons of methods."""
     from evaluate.figures.evaluation_images import EvaluationImages
     from evaluate.figures.write import write_comparisons, write_figures
 
-    if options.folders.pred and options.folders.gt:
-        found = [(folder, EvaluationImages(evaluations[0], options.folders.pred, options.folders.gt))]
-    else:
-        folders = [_metrics_folder(path, one) for path, one in zip(options.runs, evaluations, strict=True)]
-        found = [
-            (metrics_folder, images)
-            for metrics_folder, one in zip(folders, evaluations, strict=True)
-            if (images := EvaluationImages.in_folder(one, metrics_folder)).predictions.is_dir()
-            and images.truth.is_dir()
-        ]
+    found = []
+    for one in evaluated:
+        home = one.results.parent
+        images = EvaluationImages.in_folder(one.evaluation, home)
+        if one.images is not None:
+            images = EvaluationImages(one.evaluation, *one.images)
+        if images.predictions.is_dir() and images.truth.is_dir():
+            found.append((home, images))
     written: list[Path] = []
-    for metrics_folder, images in found:
+    for home, images in found:
         with show_progress("drawing", options.quiet) as progress:
-            written += write_figures(images, metrics_folder, progress)
+            written += write_figures(images, home, progress)
     return written + write_comparisons([images for _, images in found], folder)
-
-
-def _metrics_folder(path: Path, evaluation: Evaluation) -> Path:
-    """Folder of the metrics of a command-line argument."""
-    path = results_folder(path)
-    if path.is_file():
-        return path.parent
-    return path if (path / METRICS_FILE).is_file() else path / "eval" / evaluation.protocol.id
 
 
 def _table_folder(options: Options) -> Path:
@@ -176,10 +233,20 @@ def _table_folder(options: Options) -> Path:
         return options.output
     if options.folders.pred:
         return options.folders.pred.resolve().parent / f"{options.folders.pred.resolve().name}-evaluation"
-    if len(options.runs) == 1:
+    if len(options.runs) == 1 and not options.folders.pred_as:
         path = results_folder(options.runs[0])
         return path.parent if path.is_file() else path
     return Path("evaluation")
+
+
+def headline(evaluation: Evaluation) -> str:
+    """One line on an evaluation: what was scored, how it was trained, and the means of the main table."""
+    means = []
+    for name in evaluation.protocol.table_metrics:
+        mean, metric = evaluation.summary(name).mean, metric_of(name)
+        means.append(f"{title_of(name)} {'–' if mean is None else f'{mean:.{metric.digits}f}'}")
+    label = " ".join(f"{evaluation.subject} · {display_name(evaluation.method)}".split())
+    return f"scored {label} ({evaluation.setup.describe()}), {evaluation.protocol.id}: {', '.join(means)}"
 
 
 def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks: Sequence[Check]) -> dict[str, Any]:
@@ -189,6 +256,7 @@ def _summary(evaluations: Sequence[Evaluation], written: Sequence[Path], checks:
             "subject": e.subject,
             "method": e.method,
             "seed": e.seed,
+            "setup": e.setup.as_dict(),
             "protocol": e.protocol.id,
             "digest": e.protocol.digest,
             "frames": len(e.frames),

@@ -13,8 +13,8 @@ from torch import Tensor
 from evaluate.figures.contact_sheet import Row, contact_sheet, resize_to_width
 from evaluate.motion.orbit import orbit_camera
 from evaluate.scoring.frame_files import to_8_bit
-from evaluate.scoring.ground_truth import Color
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
+from ggavatar.data.background import Color
 
 YAWS = (-40.0, -25.0, -12.0, 0.0, 12.0, 25.0, 40.0)
 PITCHES = (-25.0, -16.0, -8.0, 0.0, 8.0, 16.0, 25.0)

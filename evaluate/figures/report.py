@@ -124,6 +124,8 @@ def _headline(evaluation: Evaluation, name: str) -> list[dict[str, str]]:
                 "reason": evaluation.missing.get(column, ""),
             }
         )
+    trained = evaluation.setup.facts or {"images": evaluation.setup.describe()}
+    facts += [{"name": name.capitalize(), "value": value} for name, value in trained.items() if value != "none"]
     fps = evaluation.efficiency.get("fps")
     if isinstance(fps, (int, float)):
         facts.append({"name": "Frames per second ↑", "value": f"{fps:.1f}"})
@@ -139,7 +141,8 @@ def _protocol(evaluation: Evaluation) -> dict[str, str]:
 
 
 def _provenance(evaluation: Evaluation) -> dict[str, str]:
-    content: dict[str, Any] = {**_flat(evaluation.provenance), **_flat(evaluation.efficiency)}
+    setup = {"setup": evaluation.setup.describe(), "method on the command line": evaluation.setup.method}
+    content: dict[str, Any] = {**_flat(setup), **_flat(evaluation.provenance), **_flat(evaluation.efficiency)}
     content |= {f"SHA-256 of {what}": value for what, value in evaluation.hashes.items()}
     content |= {f"weights {what}": value for what, value in evaluation.weights.items()}
     return {name: _text(value) for name, value in content.items()}

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluate.gates.checks import Check, check_limits, compare_with_baselines, parse_limits
+from evaluate.gates.baselines import Baseline, read_baselines
+from evaluate.gates.checks import Check, check_limits, parse_limits
+from evaluate.gates.regressions import compare_with_baselines
+from evaluate.gates.tolerances import Tolerance, parse_tolerances
 from evaluate.options import Gates
-from evaluate.protocols.results import Evaluation, read_results
+from evaluate.protocols.results import Evaluation
 from ggavatar.errors import InputError
 
 
@@ -20,17 +23,19 @@ class Limits:
         ceilings: Largest allowed means by metric.
         baselines: Earlier results that the new ones must not be worse than.
         tolerances: How much worse a mean may be, by metric.
+        allowed: What may differ between the results and a baseline, by name.
     """
 
     floors: Mapping[str, float]
     ceilings: Mapping[str, float]
-    baselines: Sequence[Evaluation]
-    tolerances: Mapping[str, float]
+    baselines: Sequence[Baseline]
+    tolerances: Mapping[str, Tolerance]
+    allowed: Sequence[str] = ()
 
     def checks(self, evaluations: Sequence[Evaluation]) -> list[Check]:
         """The outcome of every comparison."""
         checks = check_limits(evaluations, self.floors, self.ceilings)
-        return checks + compare_with_baselines(evaluations, self.baselines, self.tolerances)
+        return checks + compare_with_baselines(evaluations, self.baselines, self.tolerances, self.allowed)
 
 
 def read_limits(gates: Gates) -> Limits:
@@ -39,13 +44,15 @@ def read_limits(gates: Gates) -> Limits:
     Raises:
         InputError: A limit or a baseline cannot be read, or a report is requested without a gate.
     """
-    if gates.tolerance and not gates.compare:
-        raise InputError("--tolerance: expected --compare FILE as well, found none; pass the earlier metrics.json")
+    if (gates.tolerance or gates.allow_other) and not gates.compare:
+        flag = "--tolerance" if gates.tolerance else "--allow-other"
+        raise InputError(f"{flag}: expected --compare FILE as well, found none; pass a run, metrics.json or baseline")
     if (gates.junit or gates.github) and not (gates.fail_below or gates.fail_above or gates.compare):
         raise InputError("--junit, --github: expected --fail-below, --fail-above or --compare to report, found none")
     return Limits(
         parse_limits(gates.fail_below, "--fail-below"),
         parse_limits(gates.fail_above, "--fail-above"),
-        [read_results(path) for path in gates.compare],
-        parse_limits(gates.tolerance, "--tolerance"),
+        [baseline for path in gates.compare for baseline in read_baselines(path)],
+        parse_tolerances(gates.tolerance),
+        gates.allow_other,
     )

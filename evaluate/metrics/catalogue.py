@@ -18,7 +18,8 @@ class Metric:
         digits: Decimals in tables; methods are ranked after rounding to them.
         unit: Unit of the value, or "1" if it has none.
         definition: The exact definition; changing it changes the digest of every protocol that uses the metric.
-        tolerance: How much worse the mean may be under `--compare` when the user names no tolerance.
+        tolerance: How much worse the mean of whole images may be under `--compare` when the user names no tolerance.
+        relative_tolerance: Whether `tolerance` is a fraction of the earlier mean rather than in the metric's unit.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Metric:
     unit: str
     definition: str
     tolerance: float
+    relative_tolerance: bool = False
 
     @property
     def arrow(self) -> str:
@@ -56,8 +58,9 @@ def _lpips(name: str, title: str, network: str, value_range: str) -> Metric:
     return Metric(name, title, False, 3, "1", words, 0.003)
 
 
-def _error(name: str, title: str, words: str) -> Metric:
-    return Metric(name, title, False, 4, "1", words, 0.002)
+def _error(name: str, title: str, words: str, tolerance: float = 0.02) -> Metric:
+    """An error whose size depends on the subject, so that its tolerance is a fraction of it."""
+    return Metric(name, title, False, 4, "1", words, tolerance, relative_tolerance=True)
 
 
 _METRICS = (
@@ -97,22 +100,26 @@ _METRICS = (
         "Flicker",
         "mean of |render[t] - render[t-1]| over pixels where no channel of the truth changes by more than 2/255 and "
         "the mask, if there is one, covers half or more in t-1 and t; range 1",
+        0.05,
     ),
     _error(
         "landmark_distance",
         "Landmarks",
         f"mean distance between render and truth of {_LANDMARKS}",
+        0.05,
     ),
     _error(
         "landmark_jitter",
         "Jitter",
         f"mean |e[t-2] - 2 e[t-1] + e[t]|, e the error of {_LANDMARKS}; source frames t-2 to t all scored",
+        0.05,
     ),
     _error(
         "expression_distance",
         "AED",
         "mean |difference| between render and truth of the 51 expression scores in [0, 1] (the blendshapes without "
         f"'neutral') of MediaPipe's face landmarker; {_NO_FACE}",
+        0.05,
     ),
     Metric(
         "identity",

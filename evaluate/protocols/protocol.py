@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from evaluate.metrics.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS, TEMPORAL
+from ggavatar.data.background import background_text, parse_background
 from ggavatar.errors import InputError, nearest
 
 GIVEN = "given"
@@ -28,7 +29,7 @@ class Protocol:
         name: Base name; the id adds the version and every overridden field.
         version: Of the named protocol.
         split: Name of the capture's split whose test frames are scored, or `given`.
-        background: `white`, `black`, `R,G,B` in 0–255, or `given`; ground truth and prediction are composited on it.
+        background: `white`, `black`, `R,G,B` from 0 to 1 (sRGB), or `given`; both images are composited on it.
         mask: `as-stored` (the capture's soft or binary masks), `binary` (thresholded at 0.5) or `given`.
         region: `full`, or the region outside which both images are filled with the background before anything is
             measured; PSNR and L1 then count only the region's pixels (IMavatar's convention).
@@ -101,14 +102,7 @@ class Protocol:
     @property
     def background_rgb(self) -> tuple[float, float, float] | None:
         """Background color, sRGB in [0, 1]; None if it is `given`."""
-        known = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), GIVEN: None}
-        if self.background in known:
-            return known[self.background]
-        parts = self.background.split(",")
-        if len(parts) != 3 or not all(part.strip().isdigit() and int(part) <= 255 for part in parts):
-            raise InputError(f"expected --background white, black or R,G,B in 0-255, found {self.background!r}")
-        red, green, blue = (int(part) / 255 for part in parts)
-        return red, green, blue
+        return None if self.background == GIVEN else parse_background(self.background)
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -137,6 +131,8 @@ class Protocol:
             if field not in allowed:
                 suggestion, known = nearest(field, allowed), ", ".join(sorted(allowed))
                 raise InputError(f"unknown protocol field {field!r}{suggestion}; known are {known}")
+        if changes.get("background") not in (None, GIVEN):
+            changes["background"] = background_text(parse_background(changes["background"]))
         base = PROTOCOLS.get(self.name, self)
         changed = dataclasses.replace(self, **changes)
         differing = tuple(sorted(field for field in allowed if getattr(changed, field) != getattr(base, field)))

@@ -14,6 +14,7 @@ from typing import Any
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import pooled_psnr
 from evaluate.protocols.protocol import Protocol, protocol_from_dict
+from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.protocols.statistics import Summary, summarize
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
@@ -44,6 +45,7 @@ class Evaluation:
         efficiency: What rendering and training cost.
         provenance: Where the images come from: run, checkpoint, step, versions.
         notes: Remarks for the reader, as sentences.
+        setup: How the images came about: preset, length, features of the perceptual loss.
     """
 
     subject: str
@@ -58,6 +60,7 @@ class Evaluation:
     efficiency: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    setup: Setup = field(default_factory=Setup)
 
     def summary(self, name: str) -> Summary:
         """Summary of one metric over the frames; `psnr_pooled` has only a mean."""
@@ -80,6 +83,7 @@ class Evaluation:
             "subject": self.subject,
             "method": self.method,
             "seed": self.seed,
+            "setup": self.setup.as_dict(),
             "protocol": {
                 "id": self.protocol.id,
                 "digest": self.protocol.digest,
@@ -188,4 +192,5 @@ def _from_dict(content: Mapping[str, Any]) -> Evaluation:
         efficiency=content["efficiency"],
         provenance=content["provenance"],
         notes=tuple(content["notes"]),
+        setup=setup_from_dict(content.get("setup", {})),
     )

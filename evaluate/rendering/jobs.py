@@ -19,13 +19,14 @@ from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
 from evaluate.motion.retarget import drives_and_cameras, match_basis
 from evaluate.motion.transfer import TransferOptions, neutral_row, transfer_performance
 from evaluate.protocols.method_names import display_name
-from evaluate.protocols.protocol import GIVEN, Protocol
+from evaluate.protocols.protocol import GIVEN
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
 from evaluate.rendering.views import FRAMES, RGBA, VIDEO, Output, View, claim_folder, method_of_output, render_views
 from evaluate.scoring.frame_files import find_frame
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
-from evaluate.scoring.ground_truth import Color, GroundTruth
+from evaluate.scoring.ground_truth import GroundTruth
 from ggavatar.core import Camera, Drive
+from ggavatar.data.background import Color, parse_background
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
@@ -187,7 +188,7 @@ def _background(options: Options, run: Run | StandaloneGaussians) -> Color:
     red, green, blue = run.background.tolist()
     if options.background is None:
         return red, green, blue
-    return Protocol("render", background=options.background).background_rgb or (red, green, blue)
+    return parse_background(options.background)
 
 
 def _selected(views: Sequence[View], part: str | None) -> Sequence[View]:

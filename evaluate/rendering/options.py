@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ggavatar.data.background import parse_background
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions, is_gaussian_file
 
@@ -54,7 +55,7 @@ class Options:
     width: int | None = None
     """Image width, px; the height follows from the aspect ratio. By default the capture's."""
     background: str | None = None
-    """white, black or R,G,B in 0-255; by default the run's own."""
+    """white, black, or R,G,B from 0 to 1; by default the run's own."""
     alpha: bool = False
     """Also write RGBA images with straight alpha."""
     video: bool = True
@@ -85,6 +86,8 @@ def check(options: Options) -> None:
         raise InputError(
             f"{options.run}: a file of Gaussians has no cameras; add --capture DIR for those of a capture, or --orbit"
         )
+    if options.background is not None:
+        parse_background(options.background)
     if options.resume and options.overwrite:
         raise InputError("--resume and --overwrite are mutually exclusive; choose one")
     if options.views < 1 or not 0 <= options.yaw <= 180 or not 0 <= options.pitch <= 89:

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from evaluate.figures.video import video_writer
 from evaluate.scoring.frame_files import frame_file, to_8_bit
-from evaluate.scoring.ground_truth import Color
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
+from ggavatar.data.background import Color
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.images import read_rgb, write_png

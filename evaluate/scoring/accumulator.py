@@ -17,6 +17,7 @@ from evaluate.metrics.faces import Points
 from evaluate.metrics.temporal import flicker, frame_difference_error, landmark_jitter
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation, Value
+from evaluate.protocols.setup import Setup
 
 Image = UInt8[np.ndarray, "H W 3"]
 
@@ -56,6 +57,7 @@ class Labels:
         efficiency: What rendering and training cost.
         provenance: Run, checkpoint, step.
         notes: Remarks for the reader, as sentences.
+        setup: How the images came about.
     """
 
     subject: str
@@ -64,6 +66,7 @@ class Labels:
     efficiency: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    setup: Setup = field(default_factory=Setup)
 
 
 class Accumulator:
@@ -140,6 +143,7 @@ class Accumulator:
             efficiency=labels.efficiency,
             provenance={**labels.provenance, "versions": versions()},
             notes=(*labels.notes, *counted),
+            setup=labels.setup,
         )
 
 

@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from ggavatar.data.background import Color
 from ggavatar.errors import InputError
-
-Color = tuple[float, float, float]
 
 
 @runtime_checkable

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from evaluate.scoring.ground_truth import Color
+from ggavatar.data.background import Color
 from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.picture_decoding import read_picture, read_unchanged, to_8_bits

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -13,19 +14,35 @@ from jaxtyping import UInt8
 from evaluate.metrics.regions import MESH_REGIONS, hair_region, mesh_regions
 from evaluate.scoring.frame_files import frame_file
 from ggavatar.core import Camera, Drive
+from ggavatar.data.capture import Capture
 from ggavatar.geometry.transforms import project
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_gray, write_png
-from ggavatar.training.run_folder import Run
 
 
-def write_region_masks(run: Run, folder: Path, frames: Sequence[int], wanted: Sequence[str]) -> list[str]:
+@runtime_checkable
+class FrameReader(Protocol):
+    """Drives and cameras by source frame number, as in `ggavatar.data.frames.Frames`."""
+
+    def drive(self, number: int) -> Drive:
+        """Drive of a frame."""
+        ...
+
+    def camera(self, number: int) -> Camera:
+        """Camera of a frame, at the capture's size."""
+        ...
+
+
+def write_region_masks(
+    capture: Capture, reader: FrameReader, folder: Path, frames: Sequence[int], wanted: Sequence[str]
+) -> list[str]:
     """Write `regions/NAME/000123.png` beside the predictions and return the names of the regions.
 
     Args:
-        run: The opened run.
-        folder: Folder in which `predict_frames` wrote `masks/`.
+        capture: The capture, whose head is used.
+        reader: Its drives and cameras.
+        folder: Folder with the person's `masks/`.
         frames: Source frame numbers.
         wanted: Regions of the protocol; those not derived from the mesh (foreground, boundary) are skipped.
 
@@ -35,11 +52,11 @@ def write_region_masks(run: Run, folder: Path, frames: Sequence[int], wanted: Se
     names = [name for name in wanted if name in (*MESH_REGIONS, "hair")]
     if not names:
         return []
-    head = load_head(run.capture.head_path)
+    head = load_head(capture.head_path)
     written: set[str] = set()
     for number in frames:
         person = read_gray(frame_file(folder / "masks", number))
-        masks = frame_regions(head, run.reader.drive(number), run.reader.camera(number), person)
+        masks = frame_regions(head, reader.drive(number), reader.camera(number), person)
         for name in names:
             if name in masks:
                 write_png(frame_file(folder / "regions" / name, number), masks[name])

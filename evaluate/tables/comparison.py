@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
+from evaluate.tables.setups import mixing_notes, setup_notes
 from evaluate.tables.study import Study
 from evaluate.tables.table import CellSource, Column, Row, Table, missing_cell, number_cell, rank_across, rank_down
 
@@ -90,7 +91,7 @@ def _frames(study: Study) -> str:
 
 def notes(study: Study) -> tuple[str, ...]:
     """Notes on the cells: conditions, ranking, seeds, missing values."""
-    found = [conditions(study.protocol)]
+    found = [*mixing_notes(study), conditions(study.protocol), *setup_notes(study)]
     found.append("Cells are means over test frames; best and second are marked per metric, ties after rounding shared.")
     if any(len(study.runs(s, m)) > 1 for s in study.subjects for m in study.methods):
         found.append("± is the sample deviation over seeds, not over frames.")

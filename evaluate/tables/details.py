@@ -12,7 +12,8 @@ from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
 from evaluate.protocols.statistics import BLOCK_SPAN, RESAMPLES, deviation_over_seeds, paired_bootstrap
 from evaluate.tables.comparison import missing_notes
-from evaluate.tables.study import Study
+from evaluate.tables.setups import mixing_notes
+from evaluate.tables.study import Study, with_setup
 from evaluate.tables.table import Cell, CellSource, Column, Row, Table, missing_cell, number_cell
 
 SUMMARY_COLUMNS = (
@@ -34,6 +35,7 @@ def detail_table(study: Study) -> Table:
                 rows += _detail_rows(runs, metric, f"{subject} · {display_name(method)}")
     caption = f"All metrics under {study.protocol.id}."
     notes = (
+        *mixing_notes(study),
         "worst 5 % is the mean over the worst twentieth of the frames, at least one.",
         "σ frames is the sample deviation between frames of one run; σ seeds is that between runs with other seeds.",
         *missing_notes(study, study.evaluations[0].columns),
@@ -57,7 +59,7 @@ def _detail_rows(runs: Sequence[Evaluation], metric: str, section: str) -> Itera
         ]
         deviation = over_seeds if place == 0 else None
         cells.append(_number(deviation, digits, "needs runs with several seeds", CellSource("std_over_seeds", *where)))
-        yield Row(label, tuple(cells), section)
+        yield Row(label, tuple(with_setup(cell, [run]) for cell in cells), section)
 
 
 def _number(value: float | None, digits: int, reason: str, source: CellSource) -> Cell:
@@ -74,6 +76,7 @@ def significance_table(study: Study) -> Table | None:
         cells = tuple(_difference_cell(study, first, second, name) for name in study.metrics)
         rows.append(Row(f"{display_name(first)} − {display_name(second)}", cells))
     notes = (
+        *mixing_notes(study),
         "Mean of paired per-frame differences, first minus second, and its 95 % interval; * marks intervals without 0.",
         f"Circular block bootstrap, {RESAMPLES} samples, blocks of {BLOCK_SPAN} source frames (at most a quarter of "
         "the test frames), stratified by subject; runs of several seeds are averaged per frame first.",
@@ -141,15 +144,17 @@ def efficiency_table(study: Study) -> Table | None:
         Row(f"{e.subject} · {display_name(e.method)}" + (f", seed {e.seed}" if several else ""), _costs(e))
         for e in known
     )
-    words = {e.efficiency["fps_statement"] for e in known if e.efficiency.get("fps_statement")}
+    words = sorted({e.efficiency["fps_statement"] for e in known if e.efficiency.get("fps_statement")})
+    notes = (*mixing_notes(study), *words)
     caption = "What rendering and training cost."
-    return Table("efficiency", caption, "Method", columns, rows, tuple(sorted(words)), protocol=study.protocol.id)
+    return Table("efficiency", caption, "Method", columns, rows, notes, protocol=study.protocol.id)
 
 
 def _costs(run: Evaluation) -> tuple[Cell, ...]:
     found = {key: None if (value := run.efficiency.get(key)) is None else float(value) for key, _, _ in COSTS}
     where = (run.subject,), (run.method,)
-    return tuple(
+    cells = (
         _number(found[key], digits, "not recorded", CellSource("efficiency", *where, key, run.seed))
         for key, _, digits in COSTS
     )
+    return tuple(with_setup(cell, [run]) for cell in cells)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from evaluate.tables.table import Table
 
 KEYS = ("table", "section", "row", "group", "column")
-FIELDS = (*KEYS, "value", "deviation_over_seeds", "text", "mark", "reason", "protocol")
+FIELDS = (*KEYS, "value", "deviation_over_seeds", "text", "mark", "reason", "protocol", "setup")
 
 
 def to_csv(tables: Sequence[Table]) -> str:
@@ -26,7 +26,7 @@ def to_csv(tables: Sequence[Table]) -> str:
             for column, cell in zip(table.columns, row.cells, strict=True):
                 numbers = ["" if value is None else repr(value) for value in (cell.value, cell.deviation)]
                 keys = [table.name, row.section, row.label, column.group, column.title]
-                writer.writerow([*keys, *numbers, cell.text, cell.mark, cell.reason, table.protocol])
+                writer.writerow([*keys, *numbers, cell.text, cell.mark, cell.reason, table.protocol, cell.setup])
     return stream.getvalue()
 
 

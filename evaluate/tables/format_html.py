@@ -66,5 +66,6 @@ def _body(table: Table) -> list[str]:
 
 def _cell(cell: Cell) -> str:
     style = {BEST: ' class="gg-best"', SECOND: ' class="gg-second"'}.get(cell.mark, "")
-    hint = f' title="{escape(cell.reason)}"' if cell.reason else ""
+    words = "; ".join(filter(None, (cell.reason, cell.setup)))
+    hint = f' title="{escape(words)}"' if words else ""
     return f"<td{style}{hint}>{escape(cell.text)}</td>"

@@ -49,6 +49,7 @@ ESCAPES = {
     "Δ": r"$\Delta$",
     "−": "$-$",
     "×": r"$\times$",
+    "†": r"$\dagger$",
     "≥": r"$\geq$",
     "≤": r"$\leq$",
     "<": r"\textless{}",

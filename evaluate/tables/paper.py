@@ -66,7 +66,7 @@ def with_paper(study: Study) -> Table:
     """Our main table with the paper's rows in a section below; nothing is ranked across the two."""
     table = subjects_table(study)
     published = [row for row in read_paper() if row.table == 1]
-    theirs = {_ours(row.method): row for row in published}
+    theirs = {our_name(row.method): row for row in published}
     methods = (
         *map(display_name, study.methods),
         *(name for name in theirs if name not in set(map(display_name, study.methods))),
@@ -76,7 +76,7 @@ def with_paper(study: Study) -> Table:
     columns = [dataclasses.replace(column, group=method) for method in methods for column in titles]
     gap = tuple(missing_cell("not evaluated here") for _ in range((len(methods) - len(study.methods)) * width))
     own = [dataclasses.replace(row, cells=row.cells + gap, section="ours") for row in table.rows]
-    places = [_family(name) for name in study.metrics]
+    places = [metric_family(name) for name in study.metrics]
     rows = own + _paper_rows(published, methods, places, columns)
     return dataclasses.replace(table, columns=tuple(columns), rows=tuple(rows), notes=(*table.notes, NOTE))
 
@@ -84,13 +84,13 @@ def with_paper(study: Study) -> Table:
 def ablation_with_paper(study: Study) -> Table:
     """Our ablation with the paper's Table 2 in a section below; nothing is ranked across the two."""
     table = ablation_table(study)
-    families = [_family(name) for name in study.metrics]
+    families = [metric_family(name) for name in study.metrics]
     own = [dataclasses.replace(row, section=row.section or study.subjects[0]) for row in table.rows]
     theirs = []
     for row in paper_table_2().rows:
         cells = dict(zip((name for name, *_ in METRICS), row.cells, strict=True))
         shown = tuple(cells.get(name, missing_cell("not in the paper's table")) for name in families)
-        theirs.append(Row(_ours(row.label), shown, f"ID 1, {SECTION}", row.rule))
+        theirs.append(Row(our_name(row.label), shown, f"ID 1, {SECTION}", row.rule))
     return dataclasses.replace(table, rows=(*own, *theirs), notes=(*table.notes, NOTE))
 
 
@@ -100,7 +100,7 @@ def _paper_rows(
     rows = []
     digits = {name: count for name, _, _, count in METRICS}
     for subject in dict.fromkeys(row.subject for row in published):
-        by_method = {_ours(row.method): row.numbers for row in published if row.subject == subject}
+        by_method = {our_name(row.method): row.numbers for row in published if row.subject == subject}
         cells = []
         for method in methods:
             numbers = by_method.get(method, {})
@@ -125,12 +125,12 @@ def _columns(group: str) -> list[Column]:
     return [Column(title, group, higher, digits) for _, title, higher, digits in METRICS]
 
 
-def _ours(method: str) -> str:
+def our_name(method: str) -> str:
     """The display name of a method of the paper."""
     return "GGAvatar" if method == OURS else method
 
 
-def _family(metric: str) -> str:
+def metric_family(metric: str) -> str:
     """The paper's column that corresponds to one of our metrics; otherwise the metric itself."""
     base = metric.partition("_")[0]
     return base if base in ("ssim", "lpips") else metric

@@ -6,16 +6,18 @@ from collections.abc import Sequence
 
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.results import Evaluation
+from evaluate.tables.setups import COMPARED
 from evaluate.tables.study import Study
-from evaluate.tables.table import Cell, Column, Row, Table, missing_cell
+from evaluate.tables.table import DASH, Cell, Column, Row, Table, missing_cell
 
 DIGEST_CHARACTERS = 16
 """Leading characters of a SHA-256 that are printed; the cell's reason contains the full digest."""
 
 
 def sources_table(study: Study) -> Table:
-    """One row per evaluation: its test frames and the SHA-256 of predictions and ground truth."""
-    columns = tuple(Column(title) for title in ("test frames", "protocol digest", "renders", "ground truth"))
+    """One row per evaluation: how it was trained, its test frames and the SHA-256 of predictions and ground truth."""
+    titles = ("preset", "length", "perceptual loss", "test frames", "protocol digest", "renders", "ground truth")
+    columns = tuple(Column(title) for title in titles)
     rows = tuple(Row(_label(run), _cells(run)) for run in study.evaluations)
     caption = f"What was scored under {study.protocol.id}: SHA-256 of the protocol and of the images."
     notes = (
@@ -35,7 +37,8 @@ def _cells(run: Evaluation) -> tuple[Cell, ...]:
         Cell(digest[:DIGEST_CHARACTERS], reason=digest) if digest else missing_cell("not recorded")
         for digest in digests
     ]
-    return Cell(ranges(run.frames, 8), reason=ranges(run.frames)), *known
+    facts = [Cell(run.setup.facts.get(name, DASH), reason=run.setup.describe()) for name in COMPARED]
+    return *facts, Cell(ranges(run.frames, 8), reason=ranges(run.frames)), *known
 
 
 def ranges(frames: Sequence[int], most: int | None = None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from evaluate.metrics.catalogue import metric_of
 from evaluate.protocols.method_names import display_name
@@ -50,6 +50,11 @@ class Study:
         runs = self.runs(subject, method)
         if not runs:
             return missing_cell(f"{display_name(method)} was not evaluated on {subject}")
+        return with_setup(self._cell_of(runs, metric), runs)
+
+    def _cell_of(self, runs: Sequence[Evaluation], metric: str) -> Cell:
+        """A cell of at least one run."""
+        subject, method = runs[0].subject, runs[0].method
         summaries = [run.summary(metric) for run in runs]
         means = [summary.mean for summary in summaries if summary.mean is not None]
         if len(means) == len(runs):
@@ -60,11 +65,17 @@ class Study:
         return missing_cell(next((r.missing[metric] for r in runs if metric in r.missing), "not measured"))
 
 
+def with_setup(cell: Cell, runs: Sequence[Evaluation]) -> Cell:
+    """The cell with the setups of the runs behind it, each once."""
+    return replace(cell, setup="; ".join(dict.fromkeys(run.setup.describe() for run in runs)))
+
+
 def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
     """Group evaluations into studies of one protocol each.
 
     Raises:
-        InputError: Two evaluations of one subject, method and protocol do not differ in their seed.
+        InputError: Two evaluations of one subject, method and protocol do not differ in their seed, or one is a run
+            and the other not.
     """
     groups: dict[str, list[Evaluation]] = {}
     seen: set[tuple[object, ...]] = set()
@@ -80,7 +91,13 @@ def studies(evaluations: Sequence[Evaluation]) -> list[Study]:
     found = [Study(tuple(group)) for group in groups.values()]
     for study in found:
         for evaluation in study.evaluations:
-            if evaluation.seed is None and len(study.runs(evaluation.subject, evaluation.method)) > 1:
+            runs = study.runs(evaluation.subject, evaluation.method)
+            if len({run.setup.origin for run in runs}) > 1:
+                raise InputError(
+                    f"{evaluation.method} on {evaluation.subject} names a run and pictures of another origin; give the "
+                    "pictures another name with --label or --pred-as, or the runs others with --labels"
+                )
+            if evaluation.seed is None and len(runs) > 1:
                 raise InputError(
                     f"several evaluations of {evaluation.method} on {evaluation.subject}, one of them without a seed; "
                     "score it again with --seed, or distinguish them with --labels"

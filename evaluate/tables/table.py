@@ -49,6 +49,7 @@ class Cell:
         mark: `best`, `second` or empty.
         reason: Why there is no number, or details of it.
         source: What the number was computed from; None for numbers of the paper.
+        setup: How the runs behind the number were trained, in words.
     """
 
     text: str
@@ -57,6 +58,7 @@ class Cell:
     mark: str = ""
     reason: str = ""
     source: CellSource | None = None
+    setup: str = ""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from evaluate.protocols.results import Evaluation, to_json
@@ -12,6 +12,7 @@ from evaluate.tables import format_data, format_html, format_latex, format_markd
 from evaluate.tables.comparison import ablation_table, subjects_table
 from evaluate.tables.details import detail_table, efficiency_table, significance_table
 from evaluate.tables.paper import ablation_with_paper, paper_table_1, paper_table_2, with_paper
+from evaluate.tables.paper_aligned import ablation_table_aligned, parse_paper_subjects, subjects_table_aligned
 from evaluate.tables.provenance import sources_table
 from evaluate.tables.study import Study, studies
 from evaluate.tables.table import Table
@@ -25,7 +26,9 @@ RENDERERS = {
 }
 
 
-def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper: bool = False) -> list[Table]:
+def build_tables(
+    evaluations: Sequence[Evaluation], layout: str = "auto", paper: bool = False, paper_subjects: Sequence[str] = ()
+) -> list[Table]:
     """The main table of every protocol, followed by paired differences, costs, details and what was scored.
 
     Args:
@@ -33,23 +36,28 @@ def build_tables(evaluations: Sequence[Evaluation], layout: str = "auto", paper:
         layout: `subjects` as in the paper's Table 1, `ablation` as in its Table 2; `auto` takes the latter for one
             subject with more than four methods.
         paper: Add the paper's rows below ours, or return its tables alone without evaluations.
+        paper_subjects: The paper's subject for each of ours, as `NAME=ID`; its numbers then stand in the same lines.
 
     Raises:
-        InputError: Two evaluations of one subject, method, seed and protocol.
+        InputError: Two evaluations of one subject, method, seed and protocol, or an unknown subject.
     """
     tables: list[Table] = [paper_table_1(), paper_table_2()] if paper and not evaluations else []
+    aligned = parse_paper_subjects(paper_subjects, list(dict.fromkeys(e.subject for e in evaluations)))
     for study in studies(evaluations):
-        tables.append(_main_table(study, layout, paper))
+        tables.append(_main_table(study, layout, paper, aligned))
         tables += [found for found in (significance_table(study), efficiency_table(study)) if found]
         tables += [detail_table(study), sources_table(study)]
     return tables
 
 
-def _main_table(study: Study, layout: str, paper: bool) -> Table:
+def _main_table(study: Study, layout: str, paper: bool, aligned: Mapping[str, str]) -> Table:
     many = len(study.subjects) == 1 and len(study.methods) > 4
-    if layout == "ablation" or (layout == "auto" and many):
-        return ablation_with_paper(study) if paper else ablation_table(study)
-    return with_paper(study) if paper else subjects_table(study)
+    is_ablation = layout == "ablation" or (layout == "auto" and many)
+    if here := {ours: theirs for ours, theirs in aligned.items() if ours in study.subjects}:
+        return ablation_table_aligned(study, here) if is_ablation else subjects_table_aligned(study, here)
+    if paper:
+        return ablation_with_paper(study) if is_ablation else with_paper(study)
+    return ablation_table(study) if is_ablation else subjects_table(study)
 
 
 def write_tables(tables: Sequence[Table], folder: Path, results: Sequence[Path]) -> list[Path]:

@@ -1,8 +1,8 @@
 """ggavatar-sweep: train a grid of captures, methods and seeds, then evaluate all cells in one table.
 
 Every cell has a run folder of its own and is trained by ggavatar-train in a process of its own, here or on the machines
-of a cluster (`ggavatar.sweeps.backends`). Finished cells are skipped, interrupted ones are resumed, and a cell that
-fails does not stop the others.
+of a cluster (`ggavatar.sweeps.backends`). Every capture, method and flag is checked before the first training. Finished
+cells are skipped, interrupted ones are resumed, and a cell that fails does not stop the others.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from ggavatar.sweeps.backends import Backend, CellTraining, LocalProcesses, Outc
 from ggavatar.sweeps.cell import Cell, find_console_script, train_cell
 from ggavatar.training import registry
 
+PASSED_ON = ("preset", "steps", "split", "device", "max_gaussians")
+"""Flags that every ggavatar-train gets if they are given."""
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -50,7 +53,7 @@ class Arguments:
     """ray: cores per cell."""
     retries: int = 0
     """How many times a failed cell is resumed from its last checkpoint; invalid input is not retried."""
-    preset: str | None = None
+    preset: Literal["default", "fast", "paper"] | None = None
     """Passed to ggavatar-train, like --steps, --split, --device, --max-gaussians and --set."""
     steps: int | None = None
     """Number of steps of every training."""
@@ -79,6 +82,7 @@ def sweep(arguments: Arguments) -> int:
     """Train the missing cells, report failures, evaluate into a table, and return the exit code."""
     backend = make_backend(arguments)
     cells = grid(arguments)
+    check(arguments, cells)
     outcomes = _train_all(cells, arguments, backend)
     if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED
@@ -87,6 +91,26 @@ def sweep(arguments: Arguments) -> int:
     sys.stdout.flush()
     evaluated = _evaluate(trained, arguments) if trained and not arguments.train_only else 0
     return EXIT_FAILURE if len(trained) < len(cells) else evaluated
+
+
+def check(arguments: Arguments, cells: Sequence[Cell]) -> None:
+    """Check everything that can be checked before the first training.
+
+    Raises:
+        InputError: The folder, a flag, a capture, a method or a setting cannot be used.
+    """
+    if arguments.output.exists() and not arguments.output.is_dir():
+        raise InputError(f"{arguments.output}: expected a folder for the runs, found a file; choose another with -o")
+    _flags(arguments)
+    for program in ("ggavatar-train",) if arguments.train_only else ("ggavatar-train", "ggavatar-eval"):
+        find_console_script(program)
+    from ggavatar.sweeps.checks import check_cells  # torch, which --help does without
+
+    names = [*PASSED_ON, "set"]
+    options = {name: value for name in names if (value := getattr(arguments, name)) not in (None, ())}
+    if arguments.backend == "ray":
+        options["device"] = "cpu"  # the devices are those of other machines, whose trainings check them
+    check_cells(cells, options)
 
 
 def make_backend(arguments: Arguments) -> Backend:
@@ -145,8 +169,13 @@ def grid(arguments: Arguments) -> list[Cell]:
     """All cells, ordered by capture, method and seed.
 
     Raises:
-        InputError: A method is unknown, or two captures have the same name.
+        InputError: No capture, a method is unknown, or something is named twice.
     """
+    if not arguments.captures:
+        raise InputError("expected at least one capture folder, found none; pass folders written by ggavatar-prep")
+    for name, values in (("--methods", arguments.methods), ("--seeds", arguments.seeds)):
+        if not values or len(set(values)) != len(values):
+            raise InputError(f"{name}: expected different values, found {' '.join(map(str, values)) or 'none'}")
     for method in arguments.methods:
         registry.check_name(method)
     output = arguments.output.resolve()  # cells may be trained in other working directories
@@ -173,7 +202,7 @@ def _flags(arguments: Arguments) -> list[str]:
     if minutes is not None and not (math.isfinite(minutes) and minutes > 0):
         raise InputError(f"expected --minutes above 0, found {minutes:g}; pass the wall time of one training")
     flags: list[str] = []
-    for name in ("preset", "steps", "split", "device", "max_gaussians"):
+    for name in PASSED_ON:
         value = getattr(arguments, name)
         if value is not None:
             flags += ["--" + name.replace("_", "-"), str(value)]

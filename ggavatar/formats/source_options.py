@@ -32,7 +32,8 @@ class GaussianFileOptions(GaussianReadingOptions):
     """What a file of Gaussians (FILE in place of a run) does not contain."""
 
     capture: Path | None = None
-    """With FILE: the capture whose frames, cameras and head are used; with a run: where its capture is now."""
+    """With FILE: the capture whose frames, cameras and head are used; with a run: where its capture is now; with
+    ggavatar-eval --pred: the capture that the pictures show."""
     head_model: Path | None = None
     """With FILE.ply bound to triangles (GaussianAvatars): flame2023.pkl, generic_model.pkl or an .npz; the capture's
     head if not given."""

@@ -2,8 +2,9 @@
 
 A method's file defines `Config` (a frozen dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of
 Config by variant; each is a further method, named `file_variant`). It may define `PRESETS` (overrides of Config by
-preset) and `rasterizer(device, backend)` (a renderer of its own). Names and descriptions are read from the source,
-so that listing them imports no method; a method is imported when it is used.
+preset), `rasterizer(device, backend)` (a renderer of its own) and `TABLE_NOTES` (sentences below every table that shows
+the method, such as where it deviates from its paper). Names, descriptions and notes are read from the source, so that
+listing them imports no method; a method is imported when it is used.
 """
 
 from __future__ import annotations
@@ -36,6 +37,11 @@ class Method:
     name: str
     module: ModuleType
     overrides: Mapping[str, Any]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences below every table that shows the method."""
+        return tuple(getattr(self.module, "TABLE_NOTES", ()))
 
     def config(self, preset: str = "default", assignments: Sequence[str] = ()) -> Any:
         """The configuration for a preset, with the overrides of the variant and then the user's `name=value` texts."""
@@ -79,10 +85,30 @@ def load(name: str) -> Method:
         InputError: There is no such method; the message suggests the nearest name.
     """
     check_name(name)
-    stems = (path.stem for path in METHODS_FOLDER.glob("*.py"))
-    stem = max((stem for stem in stems if name == stem or name.startswith(stem + "_")), key=len)
+    stem = _stem(name)
     module = importlib.import_module(f"ggavatar.methods.{stem}")
     return Method(name, module, {} if name == stem else module.VARIANTS[name.removeprefix(stem + "_")])
+
+
+def _stem(name: str) -> str:
+    """The file of a known method or variant, without suffix."""
+    stems = (path.stem for path in METHODS_FOLDER.glob("*.py"))
+    return max((stem for stem in stems if name == stem or name.startswith(stem + "_")), key=len)
+
+
+def table_notes(name: str) -> tuple[str, ...]:
+    """The notes of a method or variant for tables; none for unknown methods. Imports no method if they are literals."""
+    if name not in names():
+        return ()
+    path = METHODS_FOLDER / f"{_stem(name)}.py"
+    for node in ast.parse(path.read_text(encoding="utf-8"), str(path)).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == "TABLE_NOTES" for target in targets):
+            try:
+                return tuple(ast.literal_eval(getattr(node, "value", None) or ast.Tuple([], ast.Load())))
+            except ValueError:
+                return load(name).notes  # computed, so that the source does not say it
+    return ()
 
 
 def check_name(name: str) -> None:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 from evaluate.protocols.protocol import Protocol, protocol_by_name
 from evaluate.protocols.results import Evaluation
+from evaluate.protocols.setup import Setup
 
+UNKNOWN = Setup()
 PROTOCOL = protocol_by_name("folders").override(metrics=("psnr", "ssim", "lpips_alex"))
 
 
@@ -18,6 +20,7 @@ def evaluation(
     lpips: Sequence[float | None] = (0.1, 0.08),
     seed: int | None = None,
     protocol: Protocol = PROTOCOL,
+    setup: Setup = UNKNOWN,
 ) -> Evaluation:
     """An evaluation of frames 0, 1, … with the given values; an empty `lpips` counts as missing weights."""
     values = {
@@ -29,5 +32,5 @@ def evaluation(
     return Evaluation(
         subject, method, protocol, tuple(range(len(psnr))), values, seed,
         missing={} if lpips else {"lpips_alex": "no weights: alexnet_features.pth not found"},
-        hashes={"ground_truth": f"truth of {subject}", "predictions": f"{method} {seed}"},
+        hashes={"ground_truth": f"truth of {subject}", "predictions": f"{method} {seed}"}, setup=setup,
     )  # fmt: skip

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from evaluate.cli.evaluate import main
+from evaluate.options import parse
 from tests.support.image_pairs import pair, write, write_folders
 
 PLAIN = ["--no-report", "--quiet", "--metrics", "psnr", "ssim"]
@@ -121,6 +122,17 @@ def test_gates_end_with_code_3_and_say_what_failed(tmp_path: Path, capsys: pytes
     assert score(tmp_path, "--compare", str(baseline), "--tolerance", "psnr=0.1") == 3
     assert "worse by" in capsys.readouterr().err
     assert score(tmp_path, "--compare", str(baseline), "--tolerance", "psnr=90", "psnr_pooled=90", "ssim=2") == 0
+    kept = tmp_path / "kept.json"
+    assert score(tmp_path, "--fail-below", "psnr=90", "--write-baseline", str(kept)) == 3 and not kept.exists()
+    assert score(tmp_path, "--write-baseline", str(kept)) == 0
+    capsys.readouterr()
+    assert score(tmp_path, "--compare", str(kept), "--github") == 0
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("::")]
+    assert len(printed) == 1 and "checks passed" in printed[0]
+    write(tmp_path / "gt" / "000001.png", pair(shift=30)[0])
+    assert score(tmp_path, "--compare", str(kept)) == 2
+    assert "--allow-other ground-truth" in capsys.readouterr().err
+    assert score(tmp_path, "--compare", str(kept), "--allow-other", "ground-truth") == 3
 
 
 def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,6 +196,7 @@ def test_a_path_with_a_leading_dash(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 SCRIPT = """
 import sys
 from evaluate.cli.evaluate import main
+from evaluate.options import parse
 try:
     code = main(sys.argv[1:])
 except SystemExit as caught:
@@ -207,6 +220,13 @@ def test_help_and_scoring_without_learned_metrics_import_no_torch(tmp_path: Path
     nothing = ["--models", str(tmp_path), "--no-report", "--quiet"]
     code, modules = imported([*folders, *nothing, "--no-lpips"])
     assert (code, modules) == (0, "[]")
+
+
+def test_the_commands_of_the_ci_document_are_understood() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "ci.md").read_text(encoding="utf-8")
+    commands = [line.split("ggavatar-eval ")[1].split() for line in text.splitlines() if "ggavatar-eval run" in line]
+    gate, write = (parse(words) for words in commands)
+    assert gate.gates.github and gate.gates.compare == (write.gates.write_baseline,)
 
 
 @pytest.mark.weights

@@ -61,7 +61,7 @@ def test_test_frames_as_images_video_and_alpha(
 
 def test_orbit_and_its_figure(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     out = tmp_path / "o"
-    assert render(monkeypatch, run, "--orbit", "--views", 8, "--no-video", "-o", out, "--background", "0,0,255") == 0
+    assert render(monkeypatch, run, "--orbit", "--views", 8, "--no-video", "-o", out, "--background", "0,0,1") == 0
     assert names(out) == ["frames", "novel_views.png", "render.json"] and len(names(out / "frames")) == 8
     images = [read_rgb(path) for path in sorted((out / "frames").iterdir())]
     assert images[0][0, 0].tolist() == [0, 0, 255] and (images[0] != images[1]).any()

@@ -1,28 +1,20 @@
-"""Gates: floors, ceilings and baselines, and their reports.
+"""Gates: floors and ceilings.
 
 Also covers `evaluate/gates/limits.py`.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from xml.etree import ElementTree
 
 import pytest
 
-from evaluate.gates.checks import (
-    Check,
-    check_limits,
-    compare_with_baselines,
-    full_metric_name,
-    parse_limits,
-    to_github,
-    to_junit,
-)
+from evaluate.gates.checks import check_limits, full_metric_name, parse_limits
+from evaluate.gates.limits import read_limits
+from evaluate.options import Gates
 from evaluate.protocols.protocol import protocol_by_name
 from ggavatar.errors import InputError
-from tests.support.evaluations import PROTOCOL, evaluation
+from tests.support.evaluations import evaluation
 
 
 def test_floors_and_ceilings_say_by_how_much() -> None:
@@ -72,79 +64,15 @@ def test_short_names_stand_for_the_variant_in_the_main_table() -> None:
         full_metric_name("flicker", lineage)
 
 
-def test_a_fall_beyond_the_tolerance_fails_and_a_gain_never_does() -> None:
-    old = evaluation("Anna", "m", (30.0, 31.0), (0.9, 0.92), (0.1, 0.08))
-    new = evaluation("Anna", "m", (29.8, 30.8), (0.95, 0.97), (0.05, 0.05))
-    by_case = {check.case: check for check in compare_with_baselines([new], [old], {"psnr": 0.1})}
-    assert not by_case["Anna/m/psnr"].passed
-    assert by_case["Anna/m/psnr"].message == "psnr was 30.5 and is 30.3: worse by 0.2, tolerance 0.1"
-    assert by_case["Anna/m/ssim"].passed
-    assert by_case["Anna/m/lpips_alex"].passed
-    assert all(check.passed for check in compare_with_baselines([new], [old], {"psnr": 0.3, "psnr_pooled": 0.3}))
-    assert all(check.passed for check in compare_with_baselines([old], [old], {}))
-
-
-def test_default_tolerances_are_those_of_the_catalogue() -> None:
-    old = evaluation("Anna", "m", ssim=(0.9, 0.9))
-    inside, outside = (evaluation("Anna", "m", ssim=(value, value)) for value in (0.8985, 0.8975))
-    assert all(check.passed for check in compare_with_baselines([inside], [old], {}))
-    assert [check.case for check in compare_with_baselines([outside], [old], {}) if not check.passed] == ["Anna/m/ssim"]
-
-
-def test_what_vanished_fails() -> None:
-    old = evaluation("Anna", "m")
-    gone = compare_with_baselines([evaluation("Anna", "m", lpips=())], [old], {})
-    assert [check.case for check in gone if not check.passed] == ["Anna/m/lpips_alex"]
-    (missing,) = compare_with_baselines([evaluation("Bert", "m")], [old], {})
-    assert not missing.passed
-    assert missing.case == "Anna/m"
-
-
-def test_seeds_have_names_of_their_own_and_are_compared_with_their_like() -> None:
-    seeds = [evaluation("Anna", "m", (30.0 + seed, 31.0 + seed), seed=seed) for seed in (1, 2)]
-    assert [check.case for check in check_limits(seeds, {"psnr": 1.0}, {})] == [
-        "Anna/m/seed 1/psnr",
-        "Anna/m/seed 2/psnr",
-    ]
-    checks = compare_with_baselines(seeds[::-1], seeds, {})
-    assert len({check.case for check in checks}) == len(checks)
-    assert all(check.passed for check in checks)
-    (lower,) = [c for c in compare_with_baselines([seeds[0]], [seeds[1]], {}) if c.case == "Anna/m/seed 1/psnr"]
-    assert not lower.passed
-
-
-def test_another_ground_truth_is_pointed_out() -> None:
-    old = evaluation("Anna", "m")
-    new = dataclasses.replace(old, hashes={"ground_truth": "another"})
-    assert all("(of another ground truth)" in check.message for check in compare_with_baselines([new], [old], {}))
-    assert not any("another" in check.message for check in compare_with_baselines([old], [old], {}))
-
-
-def test_other_protocols_do_not_compare() -> None:
-    old = dataclasses.replace(evaluation("Anna", "m"), protocol=PROTOCOL.override(background="black"))
-    with pytest.raises(InputError, match="not comparable"):
-        compare_with_baselines([evaluation("Anna", "m")], [old], {})
-
-
-CHECKS = [Check("Anna/m/psnr", True, "fine"), Check("Anna/m/ssim", False, "100% bad: <x>, worse\nby 1")]
-
-
-def test_junit_holds_every_check() -> None:
-    root = ElementTree.fromstring(to_junit(CHECKS))
-    suite = root.find("testsuite")
-    assert suite is not None
-    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
-    cases = suite.findall("testcase")
-    assert [(case.get("classname"), case.get("name")) for case in cases] == [("Anna/m", "psnr"), ("Anna/m", "ssim")]
-    failure = cases[1].find("failure")
-    assert failure is not None
-    assert failure.get("message") == "100% bad: <x>, worse\nby 1".replace("\n", "\n")
-    assert cases[0].find("failure") is None
-
-
-def test_github_annotations_are_one_line_each() -> None:
-    lines = to_github(CHECKS).splitlines()
-    assert lines[0] == "::notice title=Anna/m/psnr::fine"
-    assert lines[1] == "::error title=Anna/m/ssim::100%25 bad: <x>, worse%0Aby 1"
-    (line,) = to_github([Check("a:b,c/m/psnr", False, "x")]).splitlines()
-    assert line == "::error title=a%3Ab%2Cc/m/psnr::x"
+@pytest.mark.parametrize(
+    ("gates", "message"),
+    [
+        (Gates(tolerance=("psnr=1",)), "--tolerance: expected --compare"),
+        (Gates(allow_other=("preset",)), "--allow-other: expected --compare"),
+        (Gates(github=True), "to report, found none"),
+        (Gates(fail_below=("pnsr=1",)), "did you mean psnr"),
+    ],
+)
+def test_gates_that_make_no_sense_are_refused(gates: Gates, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_limits(gates)

@@ -14,7 +14,7 @@ from ggavatar.errors import InputError
 
 CHANGES = {
     "split": "last-350",
-    "background": "10,20,30",
+    "background": "0.25,0.5,0.75",
     "mask": "binary",
     "region": "mouth",
     "resolution": "100x80",
@@ -101,7 +101,7 @@ def test_unknown_names_fields_and_values_are_refused_with_the_nearest() -> None:
         protocol_by_name("paper").override(metrics=("psnr",))
     for field, value in (
         ("background", "mauve"),
-        ("background", "1,2,300"),
+        ("background", "10,20,30"),
         ("resolution", "512"),
         ("resolution", "0x5"),
     ):
@@ -112,7 +112,7 @@ def test_unknown_names_fields_and_values_are_refused_with_the_nearest() -> None:
 
 
 def test_background_and_size_are_numbers() -> None:
-    protocol = protocol_by_name("paper").override(background="0,51,255", resolution="640x480")
+    protocol = protocol_by_name("paper").override(background="0,0.2,1", resolution="640x480")
     assert protocol.background_rgb == pytest.approx((0, 0.2, 1))
     assert protocol.size == (640, 480)
     assert protocol_by_name("folders").background_rgb is None
@@ -124,3 +124,12 @@ def test_regions_add_masked_columns_of_metrics_that_have_them() -> None:
     assert columns == ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "psnr@face", "ssim@face", "ssim_3dgs@face")
     assert catalogue.title_of("psnr@face") == "PSNR face"
     assert catalogue.metric_of("psnr@face").arrow == "↑"
+
+
+def test_one_color_has_one_protocol_however_it_is_written() -> None:
+    paper = protocol_by_name("paper")
+    assert paper.override(background="1,1.0, 1") == paper
+    digests = {paper.override(background=text).digest for text in ("0.5,0.5,0.5", ".5, .50,5e-1")}
+    assert len(digests) == 1
+    assert paper.override(background=".5,0,1").id == "paper-v1+background=0.5-0-1"
+    assert paper.override(background=".5,0,1").background_rgb == (0.5, 0.0, 1.0)

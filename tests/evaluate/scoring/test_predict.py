@@ -12,8 +12,9 @@ import torch
 
 from evaluate.metrics.efficiency import model_megabytes
 from evaluate.protocols.protocol import protocol_by_name
+from evaluate.scoring.frame_store import PredictionTask
 from evaluate.scoring.ground_truth import GroundTruth
-from evaluate.scoring.predict import PredictionTask, predict_frames, prediction_task
+from evaluate.scoring.predict import predict_frames, prediction_task
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.training.run_folder import Run
@@ -32,7 +33,7 @@ def task(*frames: int, truth: GroundTruth = WHITE) -> PredictionTask:
 
 
 def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) -> None:
-    summary = predict_frames(run, task(10, 15, 12), tmp_path / "out")
+    summary = predict_frames(run, task(10, 15, 12), tmp_path / "out").summary
     for folder in ("predictions", "ground_truth", "masks"):
         assert sorted(path.name for path in (tmp_path / "out" / folder).iterdir()) == [
             "000010.png",
@@ -65,15 +66,15 @@ def test_background_size_and_binary_mask(run: Run, tmp_path: Path) -> None:
 
 def test_resumes_where_it_was(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    first = predict_frames(run, task(10, 11, 12), out)
+    first = predict_frames(run, task(10, 11, 12), out).summary
     (out / "masks/000011.png").unlink()
     kept = (out / "predictions/000010.png").stat().st_mtime_ns
     steps: list[tuple[int, int]] = []
-    second = predict_frames(run, task(10, 11, 12), out, lambda done, total: steps.append((done, total)))
+    second = predict_frames(run, task(10, 11, 12), out, lambda done, total: steps.append((done, total))).summary
     assert steps == [(2, 3), (3, 3)]
     assert (out / "predictions/000010.png").stat().st_mtime_ns == kept and (out / "masks/000011.png").exists()
     assert second["timing"] == first["timing"], "one warm-up frame is no measurement"
-    assert predict_frames(run, task(10, 11, 12), out) == second
+    assert predict_frames(run, task(10, 11, 12), out).summary == second
 
 
 def test_refuses_what_is_not_its_own(run: Run, tmp_path: Path) -> None:

@@ -1,9 +1,13 @@
-"""Evaluating a run: predict, score, reuse what is up to date, redo what is not. The run is a toy of two Gaussians."""
+"""Evaluating a run: predict, score, reuse what is up to date, redo what is not. The run is a toy of two Gaussians.
+
+Also covers `evaluate/scoring/evaluation_job.py`, `evaluate/scoring/touched.py` and `evaluate/scoring/run_setup.py`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +16,20 @@ import torch
 
 from evaluate.options import Options, Override
 from evaluate.protocols.protocol import protocol_by_name
+from evaluate.protocols.results import read_results
 from evaluate.scoring import run as run_evaluation
 from evaluate.scoring.region_masks import frame_regions, write_region_masks
-from evaluate.scoring.run import at_capture_resolution, evaluate_run
+from evaluate.scoring.run import evaluate_run
+from evaluate.scoring.run_setup import changed_settings, perceptual_features, setup_of_run
+from evaluate.scoring.scored_frames import at_capture_resolution
+from evaluate.scoring.touched import require_untouched
 from ggavatar.errors import InputError
+from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import read_gray, read_rgb, write_png
+from ggavatar.training import registry
+from ggavatar.training.plan import preset
 from ggavatar.training.run_folder import Run
+from tests.support.silent_reporter import SilentReporter
 from tests.support.toy_run import HEIGHT, WIDTH, head, toy_run
 
 OPTIONS = Options(no_learned=True, quiet=True, device="cpu")
@@ -32,8 +44,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     return made
 
 
-def silent(title: str) -> None:
-    """No progress."""
+silent = SilentReporter()
 
 
 def test_a_run_is_rendered_scored_and_labelled(run: Run) -> None:
@@ -111,11 +122,11 @@ def test_the_protocol_follows_the_split_of_the_run(split: str, protocol: str) ->
 
 def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
     paper = protocol_by_name("paper")
-    assert at_capture_resolution(paper, run).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
+    assert at_capture_resolution(paper, run.capture).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
     halved = paper.override(resolution=f"{WIDTH // 2}x{HEIGHT // 2}")
-    assert at_capture_resolution(halved, run) == halved
-    assert at_capture_resolution(paper.override(resolution="16x16"), run).size == (WIDTH, HEIGHT)
-    assert at_capture_resolution(paper.override(resolution="native"), run).size is None
+    assert at_capture_resolution(halved, run.capture) == halved
+    assert at_capture_resolution(paper.override(resolution="16x16"), run.capture).size == (WIDTH, HEIGHT)
+    assert at_capture_resolution(paper.override(resolution="native"), run.capture).size is None
 
 
 def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,7 +136,9 @@ def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monke
     number = run.split.test[0]
     person = np.full((HEIGHT, WIDTH), 255, np.uint8)
     write_png(tmp_path / "masks" / f"{number:06d}.png", person)
-    drawn = write_region_masks(run, tmp_path, [number], ["foreground", "face", "mouth", "eyes", "hair"])
+    drawn = write_region_masks(
+        run.capture, run.reader, tmp_path, [number], ["foreground", "face", "mouth", "eyes", "hair"]
+    )
     assert drawn == ["face", "hair", "mouth"]
     mouth = read_gray(tmp_path / "regions" / "mouth" / f"{number:06d}.png")
     face = read_gray(tmp_path / "regions" / "face" / f"{number:06d}.png")
@@ -134,4 +147,133 @@ def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monke
     assert 0 < (mouth > 0).sum() < (face > 0).sum() < face.size
     assert (face[mouth > 0] == 255).all()
     assert not ((direct["hair"] > 0) & (face > 0)).any()
-    assert write_region_masks(run, tmp_path, [number], ["foreground", "boundary"]) == []
+    assert write_region_masks(run.capture, run.reader, tmp_path, [number], ["foreground", "boundary"]) == []
+
+
+def home_of(run: Run) -> Path:
+    return run.folder / "eval" / f"paper-v1+resolution={WIDTH}x{HEIGHT}"
+
+
+def black(path: Path) -> None:
+    """Paint an image black."""
+    pixels = read_rgb(path)
+    write_png(path, np.zeros_like(pixels))
+
+
+@pytest.mark.parametrize("folder", ["predictions", "ground_truth", "masks"])
+def test_an_image_painted_black_is_noticed_and_made_again(run: Run, folder: str) -> None:
+    first, _ = evaluate_run(run.folder, OPTIONS, SilentReporter())
+    path = home_of(run) / folder / "000015.png"
+    original = path.read_bytes()
+    black(path)
+    reporter = SilentReporter()
+    assert evaluate_run(run.folder, OPTIONS, reporter)[0] == first
+    assert path.read_bytes() == original
+    assert any("images of 1 frame (15) changed after they were written" in line for line in reporter.warnings)
+    reporter = SilentReporter()
+    evaluate_run(run.folder, OPTIONS, reporter)
+    assert reporter.warnings == []
+
+
+def test_a_painted_prediction_that_is_recorded_as_ours_is_scored_again(run: Run) -> None:
+    """Whoever updates SHA256SUMS too gets the scores of the new image, not the old scores."""
+    first, _ = evaluate_run(run.folder, OPTIONS, SilentReporter())
+    home, old = home_of(run), (home_of(run) / "predictions/000015.png")
+    before = sha256_of(old)
+    black(old)
+    sums = home / "SHA256SUMS"
+    sums.write_text(sums.read_text().replace(before, sha256_of(old)))
+    reporter = SilentReporter()
+    second, _ = evaluate_run(run.folder, OPTIONS, reporter)
+    assert second.values["psnr"][1] < first.values["psnr"][1]
+    assert any("scored again, because predictions changed" in line for line in reporter.warnings)
+
+
+def test_a_changed_capture_renews_the_ground_truth_and_is_said(run: Run) -> None:
+    run.provenance["capture_sha256"] = run.capture.digest()
+    first, _ = evaluate_run(run.folder, OPTIONS, SilentReporter())
+    assert first.provenance["capture_sha256"] == run.capture.digest()
+    assert first.provenance["capture_changed_since_training"] is False and first.notes == ()
+    black(run.capture.folder / "images" / "000015.png")
+    reporter = SilentReporter()
+    second, _ = evaluate_run(run.folder, OPTIONS, reporter)
+    assert second.hashes["ground_truth"] != first.hashes["ground_truth"]
+    assert second.hashes["predictions"] == first.hashes["predictions"]
+    assert second.provenance["capture_sha256"] == run.capture.digest() != first.provenance["capture_sha256"]
+    assert second.provenance["training_capture_sha256"] == first.provenance["capture_sha256"]
+    assert second.provenance["capture_changed_since_training"] is True
+    assert any("made again, because the capture changed" in line for line in reporter.warnings)
+    assert any("the capture has changed since the training" in line for line in reporter.warnings)
+    assert any("the capture has changed since the training" in note for note in second.notes)
+    again = SilentReporter()
+    assert evaluate_run(run.folder, OPTIONS, again)[0] == second
+    assert len(again.warnings) == 1 and "since the training" in again.warnings[0], "said at every reuse"
+
+
+def test_stored_scores_whose_images_changed_are_refused(run: Run) -> None:
+    found, (file, _) = evaluate_run(run.folder, OPTIONS, SilentReporter())
+    require_untouched(read_results(file), file.parent)
+    black(file.parent / "predictions" / "000010.png")
+    with pytest.raises(InputError, match=r"found others \(SHA-256\) in predictions: images of 1 frame \(10\)"):
+        require_untouched(found, file.parent)
+    (file.parent / "predictions" / "000010.png").unlink()
+    with pytest.raises(InputError, match="in predictions"):
+        require_untouched(found, file.parent)
+    shutil.rmtree(file.parent / "predictions")
+    require_untouched(found, file.parent)  # scores without their images are still what they were
+
+
+def test_a_changed_region_mask_is_noticed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = dataclasses.replace(head(), regions={"face": torch.tensor([0, 1, 3])})
+    monkeypatch.setattr("evaluate.scoring.region_masks.load_head", lambda path: model)
+    first, _ = evaluate_run(run.folder, OPTIONS, SilentReporter())
+    path = home_of(run) / "regions" / "face" / "000015.png"
+    write_png(path, np.full((HEIGHT, WIDTH), 255, np.uint8))
+    reporter = SilentReporter()
+    assert evaluate_run(run.folder, OPTIONS, reporter)[0] == first
+    assert any("regions/face changed" in line for line in reporter.warnings)
+
+
+def test_predictions_of_an_earlier_version_have_no_digests_and_are_made_again(run: Run) -> None:
+    first, _ = evaluate_run(run.folder, OPTIONS, SilentReporter())
+    (home_of(run) / "SHA256SUMS").unlink()
+    black(home_of(run) / "predictions" / "000015.png")
+    assert evaluate_run(run.folder, OPTIONS, SilentReporter())[0] == first
+
+
+def test_the_setup_says_how_the_run_was_trained(run: Run) -> None:
+    plan = dataclasses.replace(preset("fast", "cpu"), steps=300, max_gaussians=500)
+    config = dataclasses.replace(run.config, method="ggavatar", preset="fast", training=plan)
+    fast = dataclasses.asdict(registry.load("ggavatar").config("fast"))
+    trained = dataclasses.replace(config, method_config={**fast, "latent": 3, "perceptual_features": "vgg16"})
+    told = dataclasses.replace(run, config=trained, provenance={"perceptual_loss": "vgg16"})
+    setup = setup_of_run(told)
+    assert (setup.origin, setup.method, setup.preset, setup.steps) == ("run", "ggavatar", "fast", run.step)
+    assert setup.changed == {"max_gaussians": 500, "latent": 3}
+    assert setup.describe() == "preset fast, 7 steps, perceptual loss vgg16, max_gaussians=500, latent=3"
+    usual = dataclasses.replace(trained, training=preset("fast", "cpu"), method_config=to_plain_lists(fast))
+    assert changed_settings(usual) == {}
+    assert setup_of_run(dataclasses.replace(run, provenance={"file": "x.ply"})).describe() == (
+        "a file of Gaussians, rendered here"
+    )
+
+
+def to_plain_lists(values: dict[str, object]) -> dict[str, object]:
+    """Values as config.json gives them back: lists for tuples."""
+    return json.loads(json.dumps(values))
+
+
+@pytest.mark.parametrize(
+    ("provenance", "settings", "shown"),
+    [
+        ({"perceptual_loss": "random"}, {"perceptual_weight": 0.1, "perceptual_features": "vgg16"}, "random"),
+        ({"notes": {"perceptual_loss": "vgg16-relu2_2"}}, {}, "vgg16-relu2_2"),
+        ({"notes": {}}, {"perceptual_weight": 0.1, "perceptual_features": "vgg16"}, "vgg16"),
+        ({"notes": {}}, {"perceptual_weight": 0.0, "perceptual_features": "vgg16"}, "none"),
+        ({}, {}, "none"),
+    ],
+)
+def test_features_are_those_that_the_training_recorded(
+    provenance: dict[str, object], settings: dict[str, object], shown: str
+) -> None:
+    assert perceptual_features(provenance, settings) == shown

@@ -180,9 +180,10 @@ def test_every_format_says_what_was_scored() -> None:
     tables = build_tables([run, evaluation("Anna", "b")])
     row = tables[-1].rows[0]
     assert row.label == "Anna · a, seed 7"
-    assert row.cells[0].text == "0, 20–22, 40, 60, …, 120, 140, 160, 180"
-    assert row.cells[0].reason == "0, 20–22, 40, 60, 80, 100, 120, 140, 160, 180"
-    assert [cell.reason for cell in row.cells[1:]] == [PROTOCOL.digest, *digests.values()]
+    assert [cell.text for cell in row.cells[:3]] == ["–", "–", "–"]
+    assert row.cells[3].text == "0, 20–22, 40, 60, …, 120, 140, 160, 180"
+    assert row.cells[3].reason == "0, 20–22, 40, 60, 80, 100, 120, 140, 160, 180"
+    assert [cell.reason for cell in row.cells[4:]] == [PROTOCOL.digest, *digests.values()]
     assert ranges((3, 5, 6)) == "3, 5–6"
     for render in (to_markdown, to_latex, to_csv, to_page, to_json):
         text = render(tables).replace("\\_", "_")
@@ -208,7 +209,7 @@ def test_json_and_csv_hold_unrounded_numbers_marks_and_reasons() -> None:
     assert "alexnet" in cells[5]["reason"]
     lines = to_csv(tables).splitlines()
     assert lines[0].startswith("table,section,row,group,column,value")
-    assert f"comparison,,Anna,GGAvatar,PSNR ↑,33.5,,33.50,best,,{PROTOCOL.id}" in lines
+    assert f"comparison,,Anna,GGAvatar,PSNR ↑,33.5,,33.50,best,,{PROTOCOL.id},setup not recorded" in lines
     assert sum(table_cells(tables)) == len(lines) - 1
 
 
@@ -220,8 +221,8 @@ def test_html_is_self_contained_escaped_and_marked() -> None:
     page = to_page(build_tables([evaluation("<Anna>", "a"), evaluation("<Anna>", "b", (20.0, 21.0), lpips=())]))
     assert "&lt;Anna&gt;" in page
     assert "<Anna>" not in page
-    assert '<td class="gg-best">30.50</td>' in page
-    assert '<td class="gg-second">20.50</td>' in page
+    assert '<td class="gg-best" title="setup not recorded">30.50</td>' in page
+    assert '<td class="gg-second" title="setup not recorded">20.50</td>' in page
     assert "http" not in page
     assert 'title="no weights' in page
 

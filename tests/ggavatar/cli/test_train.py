@@ -1,7 +1,4 @@
-"""The commands ggavatar-train and ggavatar-sweep: exit codes, messages, nothing lost.
-
-Also covers `ggavatar/data/background.py`.
-"""
+"""The command ggavatar-train: exit codes, messages, nothing lost."""
 
 from __future__ import annotations
 
@@ -12,11 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from ggavatar.cli import sweep
 from ggavatar.cli import train as train_command
 from ggavatar.cli.train import Arguments, options_of
 from ggavatar.data.capture import Capture
-from ggavatar.errors import InputError
 from ggavatar.pretrained.folders import is_offline, model_folders
 
 
@@ -130,27 +125,3 @@ def test_read_only_capture_is_fine_and_unwritable_output_is_a_failure(
     monkeypatch.setattr(session, "create_run_folder", refuse)
     assert train(monkeypatch, str(toy_capture.folder), "-o", str(tmp_path / "run"), "--device", "cpu") == 1
     assert "check the permissions" in capfd.readouterr().err
-
-
-def test_sweep_trains_the_grid_once_and_reports_failures(
-    toy_capture: Capture, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    broken = tmp_path / "broken"
-    broken.mkdir()
-    arguments = sweep.Arguments(
-        (toy_capture.folder, broken), tmp_path / "grid", seeds=(7,), steps=4, device="cpu", train_only=True
-    )
-    assert sweep.sweep(arguments) == 1
-    shown = capfd.readouterr()
-    assert "1 of 2 cells trained" in shown.out and shown.err.count("failed with exit code 2") == 1
-    configs = [json.loads(path.read_text()) for path in sorted((tmp_path / "grid").rglob("config.json"))]
-    assert [config["seed"] for config in configs] == [7]
-    assert sweep.sweep(arguments) == 1
-    assert capfd.readouterr().out.count("already finished") == 1
-
-
-def test_sweep_refuses_unknown_methods_and_equal_names(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="did you mean"):
-        sweep.grid(sweep.Arguments((tmp_path,), tmp_path, methods=("gavatar",)))
-    with pytest.raises(InputError, match="different folder names"):
-        sweep.grid(sweep.Arguments((tmp_path / "a" / "x", tmp_path / "b" / "x"), tmp_path))

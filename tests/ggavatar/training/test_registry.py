@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -87,3 +88,31 @@ def test_every_config_goes_through_json(name: str) -> None:
     for preset in ("default", "fast", "paper"):
         config = method.config(preset)
         assert method.config_from(dataclasses.asdict(config), "test") == config
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        (
+            'TABLE_NOTES: tuple[str, ...] = ("without rotation of "\n    "harmonics",)',
+            ("without rotation of harmonics",),
+        ),
+        ('TABLE_NOTES = ("a", "b")', ("a", "b")),
+        ("OTHER = 1", ()),
+        ('COUNT = 2\nTABLE_NOTES = (f"{COUNT} frames",)', ("computed",)),
+    ],
+)
+def test_notes_for_tables_are_read_from_the_source(
+    source: str, expected: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "shy.py").write_text(f'"""Shy."""\n{source}\nVARIANTS = {{"more": {{}}}}\n')
+    monkeypatch.setattr(registry, "METHODS_FOLDER", tmp_path)
+    module = types.ModuleType("shy")
+    module.__dict__["TABLE_NOTES"] = ("computed",)
+    monkeypatch.setattr(registry, "load", lambda name: registry.Method(name, module, {}))
+    assert registry.table_notes("shy") == registry.table_notes("shy_more") == expected
+    assert registry.table_notes("unknown") == ()
+
+
+def test_a_method_without_notes_has_none() -> None:
+    assert registry.Method("x", types.ModuleType("x"), {}).notes == ()

@@ -1,0 +1,106 @@
+"""Comparison with baselines: like is compared with like, and nothing may be worse by more than its tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+from evaluate.gates.baselines import Baseline, baseline_of
+from evaluate.gates.checks import Check, full_metric_name
+from evaluate.gates.tolerances import Tolerance, tolerance_of
+from evaluate.metrics.catalogue import metric_of
+from evaluate.protocols.results import Evaluation
+from ggavatar.errors import InputError
+
+
+def compare_with_baselines(
+    evaluations: Sequence[Evaluation],
+    baselines: Sequence[Baseline],
+    tolerances: Mapping[str, Tolerance],
+    allowed: Collection[str] = (),
+) -> list[Check]:
+    """Check that no mean is worse than in a baseline by more than its tolerance.
+
+    Args:
+        evaluations: The new results.
+        baselines: The old results; each needs a new counterpart of the same subject and method. Of several under
+            different protocols, only those under the protocol of the new results are compared.
+        tolerances: Tolerances by metric; the default is that of `evaluate.metrics.catalogue`.
+        allowed: What may differ, by name: keys of `differences`.
+
+    Raises:
+        InputError: Something differs that makes the numbers incomparable and is not allowed.
+    """
+    checks = []
+    for old in _comparable(evaluations, baselines):
+        matching = _counterparts(evaluations, old)
+        if not matching:
+            checks.append(Check(old.label, False, "is in the baseline but was not evaluated"))
+            continue
+        new = matching[0]
+        found = differences(baseline_of(new), old)
+        if refused := [name for name in found if name not in allowed]:
+            raise InputError(
+                f"{old.label}: differs from the baseline in {'; '.join(found[name] for name in refused)}: such numbers "
+                f"are not comparable; compare with a baseline of the same, or pass --allow-other {' '.join(refused)}"
+            )
+        limits = {full_metric_name(name, new): value for name, value in tolerances.items()}
+        remark = f" (another {', '.join(name.replace('-', ' ') for name in found)})" if found else ""
+        names = [name for name in old.means if "protocol" not in found or name in new.columns]
+        checks += [_against_baseline(new, old, name, limits, remark) for name in names]
+    return checks
+
+
+def _comparable(evaluations: Sequence[Evaluation], baselines: Sequence[Baseline]) -> list[Baseline]:
+    """The baselines without those under other protocols of evaluations that are there under the right one too."""
+    digests = {e.protocol.digest for e in evaluations}
+    named = {(b.subject, b.method, b.seed) for b in baselines if b.digest in digests}
+    return [b for b in baselines if b.digest in digests or (b.subject, b.method, b.seed) not in named]
+
+
+def _counterparts(evaluations: Sequence[Evaluation], old: Baseline) -> list[Evaluation]:
+    """New evaluations of the same subject and method: of the same protocol and seed if there are any."""
+    found = [e for e in evaluations if (e.subject, e.method) == (old.subject, old.method)]
+    found = [e for e in found if e.protocol.digest == old.digest] or found
+    return [e for e in found if e.seed in (old.seed, None)] or found
+
+
+def differences(new: Baseline, old: Baseline) -> dict[str, str]:
+    """What makes two results incomparable, in words by name; a setup that was not recorded differs from none."""
+    found = {}
+    if new.digest != old.digest:
+        found["protocol"] = f"protocol ({old.protocol}, {old.digest[:12]} then; {new.protocol}, {new.digest[:12]} now)"
+    if new.ground_truth and old.ground_truth and new.ground_truth != old.ground_truth:
+        found["ground-truth"] = f"ground truth (SHA-256 {old.ground_truth[:12]} then, {new.ground_truth[:12]} now)"
+    if "not recorded" in (new.setup.origin, old.setup.origin):
+        return found
+    then, now = _setup_facts(old), _setup_facts(new)
+    for name in then:
+        if then[name] != now[name]:
+            found[name] = f"{name} ({then[name]} then, {now[name]} now)"
+    return found
+
+
+def _setup_facts(one: Baseline) -> dict[str, str]:
+    facts, setup = one.setup.facts, one.setup
+    return {
+        "method": setup.method or setup.describe(),
+        "preset": facts.get("preset", "none"),
+        "length": facts.get("length", "none"),
+        "features": facts.get("perceptual loss", "none"),
+        "settings": facts.get("changed settings", "none"),
+    }
+
+
+def _against_baseline(new: Evaluation, old: Baseline, name: str, limits: Mapping[str, Tolerance], remark: str) -> Check:
+    case = f"{baseline_of(new).label}/{name}"
+    before, now = old.means[name], new.summary(name)
+    if now.mean is None:
+        reason = new.missing.get(name, "no value")
+        return Check(case, now.identical > 0, f"{name} was {before} and is not measured now ({reason}){remark}")
+    if before is None:
+        return Check(case, False, f"{name} was infinite (identical images) and is {now.mean:.6g}{remark}")
+    tolerance = tolerance_of(name, limits)
+    change = now.mean - before if metric_of(name).higher_is_better else before - now.mean
+    state = f"worse by {-change:.6g}" if change < 0 else f"better by {change:.6g}"
+    words = f"{name} was {before:.6g} and is {now.mean:.6g}: {state}, {tolerance.words(before)}{remark}"
+    return Check(case, change >= -tolerance.allowed(before), words)

@@ -1,0 +1,128 @@
+"""The command ggavatar-sweep: the whole grid is checked before the first training, trained once, and reported.
+
+Also covers `ggavatar/sweeps/checks.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import typing
+from pathlib import Path
+
+import pytest
+
+from ggavatar.cli import sweep, train
+from ggavatar.data.capture import Capture
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    """Run the entry point in this process; the trainings have processes of their own."""
+    monkeypatch.setattr(sys, "argv", ["ggavatar-sweep", *map(str, words)])
+    try:
+        return sweep.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+
+
+@pytest.fixture
+def no_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sweep that gets as far as training fails the test."""
+
+    def refuse(*_: object) -> None:
+        pytest.fail("a training was started")
+
+    monkeypatch.setattr(sweep, "_train_all", refuse)
+
+
+@pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "expected at least one capture folder"),
+        (["{capture}", "{missing}"], "nowhere"),
+        (["{capture}", "{empty}"], "capture.json"),
+        (["{capture}", "{damaged}"], "tracking.npz"),
+        (["{capture}", "--methods", "flash_avatar", "gavatar"], "did you mean ggavatar?"),
+        (["{capture}", "--methods", "ggavatar", "ggavatar"], "--methods: expected different values"),
+        (["{capture}", "--seeds", "1", "1"], "--seeds: expected different values"),
+        (["{capture}", "--preset", "pape"], "--preset"),
+        (["{capture}", "--set", "latnet=3"], "did you mean latent?"),
+        (["{capture}", "--methods", "ggavatar", "flash_avatar", "--set", "latent=3"], "method flash_avatar"),
+        (["{capture}", "--set", "latent=many"], "expected int"),
+        (["{capture}", "--steps", "0"], "--steps: expected 1 or more"),
+        (["{capture}", "--max-gaussians", "0"], "--max-gaussians: expected 1 or more"),
+        (["{capture}", "--split", "some"], "split 'some'"),
+        (["{capture}", "--split", "last-500"], "too few"),
+        (["{capture}", "--device", "tpu"], "--device"),
+        (["{capture}", "--minutes", "-1"], "--minutes above 0"),
+        (["{capture}", "--jobs", "0"], "--jobs"),
+        (["{capture}", "{twin}"], "different folder names"),
+    ],
+)
+def test_everything_is_checked_before_the_first_training(
+    words: list[str],
+    message: str,
+    toy_capture: Capture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    places = {name: tmp_path / name for name in ("empty", "damaged", "twins")}
+    places["empty"].mkdir()
+    shutil.copytree(toy_capture.folder, places["damaged"])
+    (places["damaged"] / "tracking.npz").write_bytes(b"nothing")
+    places["twin"] = places["twins"] / toy_capture.folder.name
+    shutil.copytree(toy_capture.folder, places["twin"])
+    places |= {"capture": toy_capture.folder, "missing": tmp_path / "nowhere"}
+    out = tmp_path / "out"
+    assert run(monkeypatch, *(word.format(**places) for word in words), "-o", out) == 2
+    shown = capfd.readouterr().err
+    assert message in shown and "Traceback" not in shown
+    assert not out.exists()
+
+
+@pytest.mark.usefixtures("no_training")
+def test_the_output_must_not_be_a_file(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").write_text("mine")
+    assert run(monkeypatch, toy_capture.folder, "-o", tmp_path / "mine") == 2
+    assert "found a file" in capfd.readouterr().err and (tmp_path / "mine").read_text() == "mine"
+
+
+def test_the_grid_is_trained_once_and_failures_are_reported(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    grid = tmp_path / "grid"
+    blocked = grid / toy_capture.folder.name / "ggavatar" / "seed-8"
+    blocked.mkdir(parents=True)
+    (blocked / "mine.txt").write_text("not a run")
+    words = [toy_capture.folder, "-o", grid, "--seeds", 7, 8, "--steps", 4, "--device", "cpu", "--train-only"]
+    assert run(monkeypatch, *words) == 1
+    shown = capfd.readouterr()
+    assert "1 of 2 cells trained" in shown.out and shown.err.count("failed with exit code 2") == 1
+    configs = [json.loads(path.read_text()) for path in sorted(grid.rglob("config.json"))]
+    assert [config["seed"] for config in configs] == [7]
+    assert run(monkeypatch, *words) == 1
+    assert capfd.readouterr().out.count("already finished") == 1
+    words[words.index("--steps") + 1] = 6
+    assert run(monkeypatch, *words) == 2
+    assert "already holds a run with steps = 4, found 6" in capfd.readouterr().err
+    words[words.index("--steps") + 1] = 4
+    assert run(monkeypatch, *words, "--set", "latent=3") == 2
+    assert "found 3; choose another folder" in capfd.readouterr().err
+
+
+def test_devices_of_a_cluster_are_not_those_of_this_computer(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    arguments = sweep.Arguments((toy_capture.folder,), tmp_path, backend="ray", device="cuda", train_only=True)
+    sweep.check(arguments, sweep.grid(arguments))
+
+
+def test_flags_that_are_passed_on_have_the_types_of_ggavatar_train() -> None:
+    ours, theirs = (typing.get_type_hints(kind) for kind in (sweep.Arguments, train.Arguments))
+    assert [ours[name] for name in sweep.PASSED_ON] == [theirs[name] for name in sweep.PASSED_ON]
