@@ -1,0 +1,246 @@
+"""Planted faults in metrics, regions, statistics, predictions and tables."""
+
+from __future__ import annotations
+
+from tests.mutations.mutation import Mutation
+
+METRICS = "tests/evaluate/metrics"
+PIXELS, SSIM, LPIPS = f"{METRICS}/test_pixels.py", f"{METRICS}/test_ssim.py", f"{METRICS}/test_lpips.py"
+REGIONS, TEMPORAL, FACES = f"{METRICS}/test_regions.py", f"{METRICS}/test_temporal.py", f"{METRICS}/test_faces.py"
+STATISTICS = "tests/evaluate/protocols/test_statistics.py"
+PREDICT, SCORE = "tests/evaluate/scoring/test_predict.py", "tests/evaluate/scoring/test_score.py"
+TABLE = "tests/evaluate/tables/test_table.py"
+
+MUTATIONS = (
+    Mutation(
+        "psnr_of_amplitudes",
+        "evaluate/metrics/pixels.py",
+        "return -10 * math.log10(squared_error)",
+        "return -20 * math.log10(squared_error)",
+        (f"{PIXELS}::test_psnr_equals_skimage_for_bytes_and_floats",),
+    ),
+    Mutation(
+        "psnr_against_256_levels",
+        "evaluate/metrics/pixels.py",
+        "return 255.0 if image.dtype == np.uint8 else 1.0",
+        "return 256.0 if image.dtype == np.uint8 else 1.0",
+        (f"{PIXELS}::test_psnr_equals_skimage_for_bytes_and_floats",),
+    ),
+    Mutation(
+        "masked_sum_divided_by_all_pixels",
+        "evaluate/metrics/pixels.py",
+        "total = float(weights.sum(dtype=np.float64))",
+        "total = float(weights.size)",
+        (f"{PIXELS}::test_masked_metrics_of_a_full_mask_are_the_whole_and_of_half_a_mask_its_half",),
+    ),
+    Mutation(
+        "pooled_psnr_sums_errors",
+        "evaluate/metrics/pixels.py",
+        "return psnr_from_mse(math.fsum(errors) / len(errors)) if errors else None",
+        "return psnr_from_mse(math.fsum(errors)) if errors else None",
+        (f"{PIXELS}::test_pooling_never_exceeds_the_mean_of_images",),
+    ),
+    Mutation(
+        "ssim_window_narrower",
+        "evaluate/metrics/ssim.py",
+        "WINDOW, SIGMA = 11, 1.5",
+        "WINDOW, SIGMA = 11, 1.0",
+        (f"{SSIM}::test_ssim_equals_skimage_with_the_settings_of_wang",),
+    ),
+    Mutation(
+        "ssim_constants_swapped",
+        "evaluate/metrics/ssim.py",
+        "C1, C2 = 0.01**2, 0.03**2",
+        "C1, C2 = 0.03**2, 0.01**2",
+        (f"{SSIM}::test_ssim_equals_skimage_with_the_settings_of_wang",),
+    ),
+    Mutation(
+        "ssim_counts_padded_pixels",
+        "evaluate/metrics/per_frame.py",
+        'found[f"ssim{suffix}"] = ssim.valid(whole)',
+        'found[f"ssim{suffix}"] = whole',
+        (f"{METRICS}/test_per_frame.py::test_shared_maps_give_what_the_definitions_give",),
+    ),
+    Mutation(
+        "luma_of_hdtv",
+        "evaluate/metrics/ssim.py",
+        "np.array([0.299, 0.587, 0.114], np.float32)",
+        "np.array([0.2126, 0.7152, 0.0722], np.float32)",
+        (f"{SSIM}::test_ssim_of_luma_equals_skimage",),
+    ),
+    Mutation(
+        "ms_ssim_weights_reversed",
+        "evaluate/metrics/ssim.py",
+        "MS_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)",
+        "MS_WEIGHTS = (0.1333, 0.2363, 0.3001, 0.2856, 0.0448)",
+        (f"{SSIM}::test_ms_ssim_equals_pytorch_msssim",),
+    ),
+    Mutation(
+        "lpips_shift_with_another_sign",
+        "evaluate/metrics/lpips.py",
+        "SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)",
+        "SHIFT, SCALE = (0.030, 0.088, 0.188), (0.458, 0.448, 0.450)",
+        (f"{LPIPS}::test_normalization_is_as_published",),
+    ),
+    Mutation(
+        "lpips_scale_of_imagenet_pixels",
+        "evaluate/metrics/lpips.py",
+        "SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)",
+        "SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.229, 0.224, 0.225)",
+        (f"{LPIPS}::test_normalization_is_as_published",),
+    ),
+    Mutation(
+        "lpips_of_images_from_zero_to_one",
+        "evaluate/metrics/lpips.py",
+        ".float() / 127.5 - 1",
+        ".float() / 255",
+        (f"{LPIPS}::test_bytes_become_numbers_from_minus_one_to_one",),
+    ),
+    Mutation(
+        "lpips_of_features_not_normalized",
+        "evaluate/metrics/lpips.py",
+        "(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10)).chunk(2)",
+        "x.chunk(2)",
+        (f"{LPIPS}::test_arithmetic_equals_the_published_formula_on_random_weights",),
+    ),
+    Mutation(
+        "unit_range_lpips_is_the_signed_one",
+        "evaluate/metrics/lpips.py",
+        "first, second = (first + 1) / 2, (second + 1) / 2",
+        "first, second = first, second",
+        (f"{LPIPS}::test_weights_are_found_under_torchvisions_names_and_the_unit_range_is_half_the_signed_one",),
+    ),
+    Mutation(
+        "boundary_band_twice_as_wide",
+        "evaluate/metrics/regions.py",
+        "BAND_FRACTION = 0.02",
+        "BAND_FRACTION = 0.04",
+        (f"{REGIONS}::test_the_band_of_a_half_plane_is_two_radii_wide",),
+    ),
+    Mutation(
+        "regions_show_through",
+        "evaluate/metrics/regions.py",
+        "order = np.argsort(-depth[faces].mean(axis=1)",
+        "order = np.argsort(depth[faces].mean(axis=1)",
+        (f"{REGIONS}::test_nearer_triangles_hide_those_behind",),
+    ),
+    Mutation(
+        "hair_includes_the_face",
+        "evaluate/metrics/regions.py",
+        "hair = np.where(covered > 0, np.uint8(0), person)",
+        "hair = person.copy()",
+        (f"{REGIONS}::test_hair_is_the_top_of_the_person_without_the_face",),
+    ),
+    Mutation(
+        "flicker_counts_moving_pixels",
+        "evaluate/metrics/temporal.py",
+        "STATIC_LEVELS = 2",
+        "STATIC_LEVELS = 60",
+        (f"{TEMPORAL}::test_flicker_counts_static_pixels_inside_the_mask_only",),
+    ),
+    Mutation(
+        "flicker_ignores_the_mask",
+        "evaluate/metrics/temporal.py",
+        "static &= (mask != 0).astype(np.uint8)",
+        "static &= np.uint8(1)",
+        (f"{TEMPORAL}::test_flicker_counts_static_pixels_inside_the_mask_only",),
+    ),
+    Mutation(
+        "jitter_is_a_first_difference",
+        "evaluate/metrics/temporal.py",
+        "np.linalg.norm(before - 2 * middle + now, axis=1)",
+        "np.linalg.norm(now - middle, axis=1)",
+        (f"{TEMPORAL}::test_jitter_ignores_offsets_and_even_drift_and_needs_three_frames",),
+    ),
+    Mutation(
+        "temporal_metrics_across_gaps",
+        "evaluate/scoring/accumulator.py",
+        "or now.frame != before.frame + 1:",
+        "or now.frame <= before.frame:",
+        (f"{SCORE}::test_temporal_metrics_need_consecutive_frames",),
+    ),
+    Mutation(
+        "cosine_is_a_dot_product",
+        "evaluate/metrics/faces.py",
+        "return float(np.dot(first, second)) / scale if scale > 0 else 0.0",
+        "return float(np.dot(first, second)) if scale > 0 else 0.0",
+        (f"{FACES}::test_cosine_by_hand",),
+    ),
+    Mutation(
+        "landmarks_in_pixels",
+        "evaluate/metrics/faces.py",
+        "return (prediction - truth) / max(eye_distance, 1e-6)",
+        "return (prediction - truth) / max(0 * eye_distance, 1.0)",
+        (f"{FACES}::test_landmark_error_is_in_eye_distances",),
+    ),
+    Mutation(
+        "deviation_of_a_population",
+        "evaluate/protocols/statistics.py",
+        "deviation = statistics.stdev(finite) if len(finite) > 1 else None",
+        "deviation = statistics.pstdev(finite) if len(finite) > 1 else None",
+        (f"{STATISTICS}::test_summary_equals_numpy",),
+    ),
+    Mutation(
+        "deviation_over_seeds_of_a_population",
+        "evaluate/protocols/statistics.py",
+        "return statistics.stdev(means) if len(means) > 1 else None",
+        "return statistics.pstdev(means) if len(means) > 1 else None",
+        (f"{STATISTICS}::test_deviation_over_seeds_needs_two",),
+    ),
+    Mutation(
+        "worst_frames_are_the_best",
+        "evaluate/protocols/statistics.py",
+        "worst = finite if higher_is_better else finite[::-1]",
+        "worst = finite[::-1] if higher_is_better else finite",
+        (f"{STATISTICS}::test_the_worst_of_a_distance_is_its_largest",),
+    ),
+    Mutation(
+        "bootstrap_of_single_frames",
+        "evaluate/protocols/statistics.py",
+        "BLOCK_SPAN = 25",
+        "BLOCK_SPAN = 1",
+        (f"{STATISTICS}::test_blocks_span_a_second_of_source_frames_but_at_most_a_quarter",),
+    ),
+    Mutation(
+        "interval_of_ninety_percent",
+        "evaluate/protocols/statistics.py",
+        "(0.025, 0.975)",
+        "(0.05, 0.95)",
+        (f"{STATISTICS}::test_independent_frames_give_the_textbook_interval",),
+    ),
+    Mutation(
+        "distances_ranked_upside_down",
+        "evaluate/tables/table.py",
+        "return rounded if higher_is_better else -rounded",
+        "return rounded",
+        (f"{TABLE}::test_best_and_second_follow_the_direction",),
+    ),
+    Mutation(
+        "ranked_before_rounding",
+        "evaluate/tables/table.py",
+        'rounded = float(f"{cell.value:.{digits}f}")',
+        "rounded = cell.value",
+        (f"{TABLE}::test_ties_after_rounding_share_their_mark",),
+    ),
+    Mutation(
+        "runs_averaged_over_the_median",
+        "evaluate/tables/study.py",
+        "return number_cell(statistics.fmean(means),",
+        "return number_cell(max(means),",
+        (f"{TABLE}::test_seeds_give_a_deviation_labelled_apart_from_frames",),
+    ),
+    Mutation(
+        "frames_per_second_by_the_mean",
+        "evaluate/metrics/efficiency.py",
+        '"fps": 1.0 / statistics.median(seconds)',
+        '"fps": 1.0 / statistics.fmean(seconds)',
+        (f"{PREDICT}::test_speed_is_that_of_the_median_frame",),
+    ),
+    Mutation(
+        "model_size_in_mebibytes",
+        "evaluate/metrics/efficiency.py",
+        "for value in tensors) / 1e6",
+        "for value in tensors) / 2**20",
+        (f"{PREDICT}::test_model_size_counts_weights_and_buffers",),
+    ),
+)

@@ -1,0 +1,7 @@
+"""Planted faults in the methods."""
+
+from __future__ import annotations
+
+from tests.mutations.mutation import Mutation
+
+MUTATIONS: tuple[Mutation, ...] = ()
