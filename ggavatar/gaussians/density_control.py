@@ -108,9 +108,9 @@ class DensityControl:
 
     Attributes:
         start: Last step without density control.
-        stop: Last step with density control.
+        stop: First step without density control again.
         interval: Steps between two rounds.
-        reset_interval: Steps between two opacity resets.
+        reset_interval: Steps between two opacity resets, and the least number left before `stop` after one.
         resetting: Whether opacities are reset; without resets `reset_interval` is still the step after which large rows
             are removed.
         reset_at_start: Reset at `start` too (3DGS does so on a white background).
@@ -142,15 +142,15 @@ class DensityControl:
 
     def is_active(self, step: int) -> bool:
         """Whether statistics are accumulated at this step."""
-        return step <= self.stop
+        return step < self.stop
 
     def is_due(self, step: int) -> bool:
         """Whether a round of growing and pruning follows this step."""
-        return self.start < step <= self.stop and step % self.interval == 0
+        return self.start < step < self.stop and step % self.interval == 0
 
     def resets(self, step: int) -> bool:
-        """Whether the opacities are reset after this step."""
-        if not self.resetting or step > self.stop:
+        """Whether the opacities are reset after this step: never without a whole interval left to recover in."""
+        if not self.resetting or step + self.reset_interval > self.stop:
             return False
         return step % self.reset_interval == 0 or (self.reset_at_start and step == self.start)
 
@@ -189,7 +189,7 @@ class DensityControl:
         growing = gradients >= self.gradient
         room = max(self.budget - len(gradients), 0)
         if self.ramp:
-            rounds_left = (self.stop - step) // self.interval + 1
+            rounds_left = (self.stop - 1 - step) // self.interval + 1
             room //= max(rounds_left, 1)
         if int(growing.sum()) > room:
             ranked = torch.where(growing, gradients, -torch.ones_like(gradients)).argsort(descending=True, stable=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from jaxtyping import Float
 from torch import Tensor
@@ -11,6 +12,9 @@ from torch import Tensor
 from ggavatar.losses.crop_sampler import Box, CropSampler
 from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss
 from ggavatar.optim.seeding import seeded
+
+PerceptualFeatures = Literal["best", "vgg16", "random"]
+"""What the perceptual loss compares: features of VGG16, of an untrained stand-in, or of the best that can be had."""
 
 
 @dataclass
@@ -22,12 +26,14 @@ class PerceptualTerm:
         crops: Sampler of the crops; None compares whole images.
         seed: Seed of the crops.
         stream: Stream of the seed, so that the draws are independent of others.
+        features: What is compared.
     """
 
     weight: float
     crops: CropSampler | None = None
     seed: int = 42
     stream: int = 3
+    features: PerceptualFeatures = "best"
     _network: list[PerceptualLoss] = field(default_factory=list, repr=False)
 
     def __call__(

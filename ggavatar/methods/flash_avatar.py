@@ -47,7 +47,7 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import huber
-from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
 from ggavatar.networks.conditioned_mlp import ConditionedPerceptron
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
@@ -114,6 +114,8 @@ class Config:
     """Weight of the Huber loss inside the lips, in addition to that of the whole image (paper, code)."""
     perceptual_weight: float = 0.005
     """Weight of the perceptual loss; the code has 0.05 of LPIPS, which is a tenth of this loss for similar images."""
+    perceptual_features: PerceptualFeatures = "vgg16"
+    """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_iterations: int = 15_000
     """Iterations before the perceptual loss starts (code)."""
     perceptual_mode: Literal["image", "crops"] = "image"
@@ -124,22 +126,22 @@ class Config:
     """Fraction of the steps with a crop; rare crops have larger weights and would dominate the small Huber loss."""
 
 
-VARIANTS: dict[str, dict[str, Any]] = {"uv_256": {"texels": 256}}
+VARIANTS: dict[str, dict[str, Any]] = {}
 
 SHORT_TRAINING: dict[str, Any] = {
-    "pose_on": "neck",
-    "condition": "face_and_pose",
+    "perceptual_features": "best",
     "room_power": 1.0,
     "hidden_type": "fastest",
     "first_offsets": "none",
     "first_colors": "frames",
     "network_rate": 1e-3,
+    "color_rate": 1e-2,
     "perceptual_mode": "crops",
     "crop_side": 64,
 }
 """Changes for trainings of a few thousand steps on a CPU."""
 
-PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {}}
+PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {"texels": 256}}
 
 
 def build(config: Config, scene: Scene) -> FlashAvatar:
@@ -165,7 +167,9 @@ class FlashAvatar(nn.Module):
         self.network_optimizer = torch.optim.Adam(self.network.parameters(), config.network_rate, fused=True)
         self.rows = initial_rows(config, samples)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
-        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
+        self.perceptual = PerceptualTerm(
+            config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
+        )
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached_encoding: Tensor | None = None
         self.register_load_state_dict_post_hook(lambda *_: self._clear_encoding())

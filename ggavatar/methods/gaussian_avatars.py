@@ -32,7 +32,7 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
-from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
@@ -80,7 +80,7 @@ class Config:
     density_start: int = 10_000
     """Density control starts after this iteration (GaussianAvatars)."""
     density_stop: int = 600_000
-    """Last iteration with density control and opacity resets (GaussianAvatars)."""
+    """Iteration at which density control and opacity resets end (GaussianAvatars)."""
     density_interval: int = 2_000
     """Iterations between two rounds (GaussianAvatars); short trainings: 20 steps, or 10 to 20 for 30 rounds."""
     density_gradient: float = 2e-4
@@ -105,8 +105,10 @@ class Config:
     scale_threshold: float = 0.6
     """Standard deviation up to which the cost is 0, triangle units (Sec. 3.4)."""
 
-    perceptual_weight: float = 0.0
-    """Weight of a VGG loss, which GaussianAvatars does not have; 0.02 where the GGAvatar paper adds it."""
+    perceptual_weight: float = 0.02
+    """Weight of the VGG loss that the GGAvatar paper adds (Sec. 4.2); GaussianAvatars has none."""
+    perceptual_features: PerceptualFeatures = "vgg16"
+    """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_share: float = 1 / 24
     """Fraction of the training before the VGG loss starts (5,000 of the GGAvatar paper's 120,000 iterations)."""
     perceptual_mode: Literal["image", "crops"] = "image"
@@ -140,10 +142,11 @@ GGAVATAR_PAPER_SCHEDULE: dict[str, Any] = {
 """The schedule of the GGAvatar paper (Sec. 3.5), which trains all baselines under the same conditions."""
 
 SHORT_TRAINING: dict[str, Any] = {
-    "pose_on": "neck",
+    "perceptual_features": "best",
     "first_colors": "frames",
     "position_rate": 1e-2,
-    "color_rate": 5e-3,
+    "color_rate": 1e-2,
+    "density_ramp": True,
     "sh_degree": 1,
     "perceptual_mode": "crops",
     "crop_side": 96,
@@ -155,7 +158,7 @@ The schedule remains that of GaussianAvatars: at 1,500 steps it is 0.3 dB better
 """
 
 VARIANTS: dict[str, dict[str, Any]] = {
-    "with_perceptual": {"perceptual_weight": 0.02},
+    "without_perceptual": {"perceptual_weight": 0.0},
     "without_finetuning": {"finetuning": False},
     "own_schedule": OWN_SCHEDULE,
     "seed_schedule": GGAVATAR_PAPER_SCHEDULE,
@@ -193,12 +196,15 @@ class GaussianAvatars(nn.Module):
             config.opacity_rate,
             config.color_rate,
         )
-        self.rows = bound_rows(self.head, rates, config.sh_degree, seeded(scene.seed, 4))
+        self.rows = bound_rows(self.head, rates, config.sh_degree, seeded(scene.seed, 4), scene.max_gaussians)
         self.corrections = drive_corrections(config, scene)
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
         self.perceptual = PerceptualTerm(
-            config.perceptual_weight, crops if config.perceptual_mode == "crops" else None, scene.seed
+            config.perceptual_weight,
+            crops if config.perceptual_mode == "crops" else None,
+            scene.seed,
+            features=config.perceptual_features,
         )
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
 

@@ -42,7 +42,7 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
-from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
@@ -109,7 +109,7 @@ class Config:
     density_start: int = 500
     """Density control starts after this iteration (public code)."""
     density_stop: int = 15_000
-    """Last iteration with density control (public code)."""
+    """Iteration at which density control ends (public code)."""
     density_interval: int = 100
     """Iterations between two rounds (public code); short trainings: 20 steps, or 10 to 20 for 30 rounds."""
     density_gradient: float = 1e-3
@@ -129,6 +129,8 @@ class Config:
     """Weight of the mean squared distance of teeth Gaussians from the mouth's cylinder, 1/m² (public code)."""
     perceptual_weight: float = 0.0
     """Weight of a VGG loss; the public code adds LPIPS on the data of NeRFBlendShape."""
+    perceptual_features: PerceptualFeatures = "vgg16"
+    """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     crop_side: int = 96
     """Side of a crop for the VGG loss, px (ours)."""
     crop_probability: float = 0.1
@@ -136,9 +138,9 @@ class Config:
 
 
 SHORT_TRAINING: dict[str, Any] = {
-    "pose_on": "neck",
+    "perceptual_features": "best",
     "first_colors": "frames",
-    "color_rate": 5e-3,
+    "color_rate": 1e-2,
     "sh_degree": 1,
     "sh_iterations": 7_000,
     "difference_sh_degree": 0,
@@ -147,7 +149,6 @@ SHORT_TRAINING: dict[str, Any] = {
     "density_stop": 20_000,
     "density_gradient": 2e-4,
     "density_ramp": True,
-    "alpha_weight": 1.0,
 }
 """Changes for trainings of a few thousand steps on a CPU, like `SHORT_TRAINING` of our method in `ggavatar.py`."""
 
@@ -186,7 +187,9 @@ class GaussianBlendshapes(nn.Module):
         self.rows = initial_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
-        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
+        self.perceptual = PerceptualTerm(
+            config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
+        )
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached: tuple[Tensor, Tensor] | None = None
 

@@ -33,7 +33,7 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
-from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
 from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
@@ -86,7 +86,7 @@ class Config:
     density_start: int = 500
     """Density control starts after this iteration (Sec. 3.5)."""
     density_stop: int = 60_000
-    """Last iteration with density control and opacity resets (Sec. 3.5; A20)."""
+    """Iteration at which density control and opacity resets end (Sec. 3.5; A20)."""
     density_interval: int = 100
     """Iterations between two rounds (Section 3.5); short trainings: 20 steps, or 10 to 20 for 30 rounds."""
     density_gradient: float = 2e-4
@@ -125,6 +125,8 @@ class Config:
     """λ1, share of D-SSIM in the image loss (Eq. 13)."""
     perceptual_weight: float = 0.02
     """λ2, weight of the VGG loss after the neutral phase (Eq. 16)."""
+    perceptual_features: PerceptualFeatures = "vgg16"
+    """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_mode: Literal["image", "crops"] = "image"
     """VGG loss on the whole image (Section 3.4), or on crops in some steps with the same expected weight."""
     crop_side: int = 128
@@ -151,8 +153,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 SHORT_TRAINING: dict[str, Any] = {
-    "pose_on": "neck",
-    "condition": "face_and_pose",
+    "perceptual_features": "best",
     "first_colors": "frames",
     "position_rate": 1e-2,
     "position_iterations": 120_000,
@@ -161,12 +162,10 @@ SHORT_TRAINING: dict[str, Any] = {
     "perceptual_mode": "crops",
     "crop_side": 96,
     "crop_probability": 0.1,
-    "density_start": 5_000,
     "density_ramp": True,
     "network_rate": 1e-3,
     "sh_degree": 1,
     "sh_iterations": 20_000,
-    "alpha_weight": 0.1,
 }
 """Changes for trainings of a few thousand steps on a CPU.
 
@@ -195,12 +194,14 @@ class GGAvatar(nn.Module):
         self.head: HeadModel = scene.head
         self.poses = HeadPoses.of(self.head, scene.drives)
         self.neutral_local_frames = triangle_frames(self.head.neutral(), self.head.faces)
-        self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4))
+        self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4), scene.max_gaussians)
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
-        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
+        self.perceptual = PerceptualTerm(
+            config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
+        )
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached_hidden: Tensor | None = None
 

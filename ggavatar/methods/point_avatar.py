@@ -23,7 +23,7 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
-from ggavatar.losses.vgg_term import PerceptualTerm
+from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
 from ggavatar.optim.schedules import log_linear
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
@@ -103,6 +103,8 @@ class Config:
     """Weight of the mean absolute difference between coverage and mask (authors' code)."""
     perceptual_weight: float = 0.1
     """Weight of the VGG loss (authors' code)."""
+    perceptual_features: PerceptualFeatures = "vgg16"
+    """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_mode: Literal["image", "crops"] = "image"
     """VGG loss on the image resized to 224 px, or on crops in some steps with the same expected weight."""
     crop_side: int = 64
@@ -124,11 +126,11 @@ class Config:
 
 
 SHORT_TRAINING: dict[str, Any] = {
+    "perceptual_features": "best",
     "max_points": 20_000,
     "pruning_frames": 100,
     "rate": 1e-3,
     "rate_left": 0.1,
-    "pose_on": "neck",
     "hidden_type": "fastest",
     "perceptual_mode": "crops",
     "regularised": 256,
@@ -146,8 +148,6 @@ FAST_TRAINING: dict[str, Any] = SHORT_TRAINING | {
     "max_points": 10_000,
     "surface_width": 128,
     "surface_layers": 6,
-    "surface_octaves": 7,
-    "normals": "joints",
 }
 """Changes for trainings of a few minutes."""
 
@@ -187,7 +187,12 @@ class PointAvatar(nn.Module):
         self.targets = HeadTargets.of(self.head, canonical, coefficients, UNITS_PER_METER)
         self.canonical = canonical
         self.cloud = PointCloud(
-            config.points, config.sphere, config.radius_factor, config.rate, self._generator(1), self._initial_points()
+            self._first_count(),
+            config.sphere,
+            config.radius_factor,
+            config.rate,
+            self._generator(1),
+            self._initial_points(),
         )
         hidden_type = matmul_dtype(scene.background.device) if config.hidden_type == "fastest" else None
         sizes = CanonicalConfig(config.surface_width, config.surface_layers, octaves=config.surface_octaves)
@@ -200,7 +205,9 @@ class PointAvatar(nn.Module):
         self.corrections = corrections(config, scene)
         self.corrections_optimizer = sparse_adam(config, self.corrections)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
-        self.perceptual = PerceptualTerm(config.perceptual_weight, crops, scene.seed)
+        self.perceptual = PerceptualTerm(
+            config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
+        )
         self.schedule = cloud_schedule(config, scene)
         self.meters = meters_per_device_unit(scene)
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
@@ -269,11 +276,17 @@ class PointAvatar(nn.Module):
         """Notes for provenance.json: the features of the perceptual loss, and the radius of the discs."""
         return self.perceptual.notes() | {"disc_radius": f"{float(self.cloud.radius):.5f} of half the shorter side"}
 
+    def _first_count(self) -> int:
+        """Initial number of points."""
+        return min(self.config.points, self.scene.max_gaussians)
+
     def _initial_points(self) -> Tensor | None:
         """Initial points on the head model; None for a sphere."""
         if self.config.begin == "sphere":
             return None
-        return HeadSurface.of(self.head, self.canonical, UNITS_PER_METER, self.config.points, self._generator(1)).points
+        return HeadSurface.of(
+            self.head, self.canonical, UNITS_PER_METER, self._first_count(), self._generator(1)
+        ).points
 
     def _fit_to_head(self) -> None:
         """Fit the networks to the head model."""

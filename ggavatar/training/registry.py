@@ -18,6 +18,7 @@ from typing import Any
 
 from ggavatar.errors import InputError, nearest
 from ggavatar.io.dataclass_json import from_plain, override
+from ggavatar.training.preset_rule import check_preset
 
 METHODS_FOLDER = Path(__file__).parents[1] / "methods"
 
@@ -39,6 +40,7 @@ class Method:
     def config(self, preset: str = "default", assignments: Sequence[str] = ()) -> Any:
         """The configuration for a preset, with the overrides of the variant and then the user's `name=value` texts."""
         preset_values = getattr(self.module, "PRESETS", {}).get(preset, {})
+        check_preset(f"method {self.name}, preset {preset}", preset_values)
         config = self.module.Config(**{**preset_values, **self.overrides})
         return override(config, assignments, f"method {self.name}") if assignments else config
 

@@ -58,6 +58,8 @@ class RunConfig:
     """The rasterizer, as in `ggavatar.render.backends`."""
     preset: str = "default"
     """The preset that the other values were derived from."""
+    settings: tuple[str, ...] = ()
+    """Settings of the method that were changed by name after that, as field=value."""
     training: TrainingPlan = field(default_factory=TrainingPlan)
     """Settings of the training loop."""
     method_config: dict[str, Any] = field(default_factory=dict)
@@ -177,8 +179,8 @@ def make_scene(
     return scene, reader
 
 
-def create_run_folder(folder: Path, overwrite: bool) -> None:
-    """Create the folder of a new run, or remove the run that is in it.
+def check_run_folder(folder: Path, overwrite: bool) -> None:
+    """Check that a new run may be written into a folder; nothing is changed.
 
     Raises:
         InputError: The folder holds a run and `overwrite` is not set, or it holds other files, or it is a file.
@@ -194,6 +196,16 @@ def create_run_folder(folder: Path, overwrite: bool) -> None:
                 "another folder with -o"
             )
         read_config(folder)  # raises if config.json belongs to another program
+
+
+def create_run_folder(folder: Path, overwrite: bool) -> None:
+    """Create the folder of a new run, or remove the run that is in it.
+
+    Raises:
+        InputError: As in `check_run_folder`.
+    """
+    check_run_folder(folder, overwrite)
+    if (folder / "config.json").exists():
         _remove_own_files(folder)
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     (folder / "metrics").mkdir(exist_ok=True)

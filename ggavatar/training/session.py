@@ -19,6 +19,7 @@ from ggavatar.training.progress import ConsoleListener, Listener, NullListener
 from ggavatar.training.provenance import outcome_of, provenance_of
 from ggavatar.training.run_folder import (
     RunConfig,
+    check_run_folder,
     choose_split,
     create_run_folder,
     find_capture,
@@ -68,10 +69,12 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         config, split = _resumed(output, capture, options), read_split(output)
     else:
         config, split = configure(capture, options)
-        create_run_folder(output, bool(options.get("overwrite")))
-        write_config(output, config, split)
+        check_run_folder(output, bool(options.get("overwrite")))
     with StopSignals() as stop:
         trainer = make_trainer(output, config, capture, split)
+        if not resuming:  # after everything that can refuse the input, so that a failed start leaves nothing behind
+            create_run_folder(output, bool(options.get("overwrite")))
+            write_config(output, config, split)
         done = trainer.resume() if resuming else 0
         if done >= config.training.steps:
             return done
@@ -112,6 +115,7 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
         device=device,
         backend=options.get("backend", "auto"),
         preset=chosen,
+        settings=tuple(options.get("set", ())),
         training=dataclasses.replace(training, **changes),
         method_config=dataclasses.asdict(method.config(chosen, options.get("set", ()))),
     )

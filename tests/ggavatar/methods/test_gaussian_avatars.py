@@ -110,17 +110,20 @@ def test_own_schedule_is_the_default_and_scales(toy_capture: Capture, toy_head: 
     assert full.resetting and full.gradient == 2e-4 and full.split_in == "local"
     tenth = density_control(Config(), scene_of(toy_capture, toy_head, 60_000))
     assert (tenth.start, tenth.stop, tenth.interval, tenth.reset_interval) == (1_000, 60_000, 200, 6_000)
+    last = density_control(Config(), scene_of(toy_capture, toy_head, 12_345))
+    assert last.reset_interval == 1_234 and max(filter(last.resets, range(12_346))) == 9 * 1_234 < 12_345 - 1_234
     for share, rate in ((0, 5e-3), (0.5, 5e-4), (1, 5e-5)):
         got = position_rate(Config(), scene_of(toy_capture, toy_head), round(share * 600_000))
         assert got == pytest.approx(rate)
 
 
 def test_paper_preset_is_the_seed_papers_schedule(toy_capture: Capture, toy_head: HeadModel) -> None:
-    config = registry.load("gaussian_avatars_with_perceptual").config("paper")
+    config = registry.load("gaussian_avatars").config("paper")
     assert config.perceptual_weight == 0.02 and config.finetuning and config.sh_degree == 3
     control = density_control(config, scene_of(toy_capture, toy_head, 120_000))
     assert (control.start, control.stop, control.interval, control.reset_interval) == (500, 60_000, 100, 3_000)
     assert config.perceptual_share * 120_000 == pytest.approx(5_000)
+    assert registry.load("gaussian_avatars_without_perceptual").config("fast").perceptual_weight == 0
     for name, preset, wanted in (
         ("", "default", OWN_SCHEDULE),
         ("_own_schedule", "paper", OWN_SCHEDULE),

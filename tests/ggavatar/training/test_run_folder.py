@@ -12,8 +12,9 @@ import torch
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import choose_split, open_run, read_config
-from ggavatar.training.session import train_run
+from ggavatar.training.session import configure, train_run
 
 OPTIONS: dict[str, Any] = {"steps": 6, "save_every": 3, "device": "cpu", "set": ["perceptual_weight=0"]}
 
@@ -116,3 +117,30 @@ def test_split_by_name_or_by_rule(toy_capture: Capture) -> None:
     assert choose_split(toy_capture, "every-20th") == ("every-20th", toy_capture.splits["every-20th"])
     name, split = choose_split(toy_capture, "ratio-0.75")
     assert name == "ratio-0.75" and split.test == toy_capture.frames[18:]
+
+
+def test_a_budget_below_the_triangles_is_refused_before_anything_is_written(
+    toy_capture: Capture, tmp_path: Path
+) -> None:
+    faces = len(load_head(toy_capture.head_path).faces)
+    options = {"method": "ggavatar", "steps": 2, "eval_every": 0, "device": "cpu"}
+    with pytest.raises(InputError, match=rf"--max-gaussians {faces - 1}: expected at least {faces}"):
+        train_run(toy_capture.folder, tmp_path / "run", {**options, "max_gaussians": faces - 1}, quiet=True)
+    assert not (tmp_path / "run").exists()
+    assert train_run(toy_capture.folder, tmp_path / "run", {**options, "max_gaussians": faces}, quiet=True) == 2
+
+
+def test_settings_by_name_are_recorded(toy_capture: Capture) -> None:
+    config, _ = configure(toy_capture, {"method": "ggavatar", "device": "cpu", "set": ["scale_rate=0.5"]})
+    assert config.settings == ("scale_rate=0.5",) and config.method_config["scale_rate"] == 0.5
+
+
+@pytest.mark.parametrize(
+    "method", ["flash_avatar", "gaussian_avatars", "gaussian_blendshapes", "ggavatar_plus", "point_avatar"]
+)
+def test_max_gaussians_is_a_limit_from_the_first_step(method: str, toy_capture: Capture, tmp_path: Path) -> None:
+    limit = max(len(load_head(toy_capture.head_path).faces), 150)
+    options = {"method": method, "steps": 1, "eval_every": 0, "device": "cpu", "max_gaussians": limit}
+    train_run(toy_capture.folder, tmp_path / "run", {**options, "set": ["perceptual_weight=0"]}, quiet=True)
+    run = open_run(tmp_path / "run")
+    assert 0 < len(run.avatar.gaussians(run.reader.drive(run.split.train[0])).means) <= limit
