@@ -11,9 +11,10 @@ import datetime
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 from tests.mutations.catalogue import MUTATIONS, drawn, named
-from tests.mutations.mutation import Mutation, StaleMutation
+from tests.mutations.mutation import ROOT, Mutation, StaleMutation
 from tests.mutations.run import KILLED, Outcome, Settings, baseline_failure, run_all
 
 
@@ -23,9 +24,9 @@ def say(text: str) -> None:
     sys.stdout.flush()
 
 
-def chosen(arguments: argparse.Namespace) -> list[Mutation]:
+def chosen(arguments: argparse.Namespace, mutations: Sequence[Mutation]) -> list[Mutation]:
     """The mutations that the arguments ask for."""
-    found = named(arguments.patterns) if arguments.patterns else list(MUTATIONS)
+    found = named(arguments.patterns, mutations) if arguments.patterns else list(mutations)
     return drawn(arguments.sample, arguments.date, found) if arguments.sample else found
 
 
@@ -47,17 +48,17 @@ def line(outcome: Outcome) -> str:
     return f"{outcome.verdict:9}  {outcome.seconds:5.0f} s  {outcome.mutation.name:44}  {first.rpartition('/')[2]}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the mutations; see the module."""
+def main(arguments: Sequence[str] | None = None, mutations: Sequence[Mutation] = MUTATIONS, root: Path = ROOT) -> int:
+    """Run mutations of the project in `root`; see the module."""
     wanted = parse(arguments)
-    mutations = chosen(wanted)
+    mutations = chosen(wanted, mutations)
     if not mutations:
         say(f"expected names or files of mutations, found none for {' '.join(wanted.patterns)}; --list shows all")
         return 2
     if wanted.list:
         say("\n".join(f"{mutation.name:44}  {mutation.file}" for mutation in mutations))
         return 0
-    settings, began = Settings(max(wanted.jobs, 1), wanted.limit), time.monotonic()
+    settings, began = Settings(max(wanted.jobs, 1), wanted.limit, root), time.monotonic()
     try:
         for mutation in mutations:
             mutation.planted((settings.root / mutation.file).read_text(encoding="utf-8"))

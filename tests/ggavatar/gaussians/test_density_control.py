@@ -239,3 +239,14 @@ def test_reset_is_to_a_hundredth_and_rows_learn_from_zero_moments() -> None:
     assert found[0].item() == pytest.approx(0.01, rel=1e-4) and found[1].item() < 0.0031
     state = rows.optimizer.state[rows["opacity_logits"]]
     assert not state["exp_avg"].any() and not state["exp_avg_sq"].any()
+
+
+def test_children_of_a_split_spread_in_units_of_their_triangle() -> None:
+    """A row of 20 triangles of 1 mm is 2 cm large: its children lie about 20 triangles apart, not 0.02."""
+    rows = rows_of([20.0] * 50, [0.5] * 50)
+    before = rows["means"].detach().clone()
+    seen(rows, [1.0] * 50)
+    plan = DensityControl(start=0, stop=100, interval=10, reset_interval=20, resetting=False)
+    plan.apply(rows, 10, torch.tensor([1e-3]), torch.Generator().manual_seed(0))
+    apart = rows["means"].detach() - before.repeat_interleave(2, 0)
+    assert len(rows) == 100 and 17 < apart.square().mean().sqrt() < 23

@@ -84,6 +84,9 @@ GAUSSIAN_AVATARS: dict[str, Any] = THREE_DGS | {
     "density_stop": 60_000,
     "density_interval": 100,
     "reset_iterations": 3_000,
+    # Sec. 4.2: "with an additional perceptual loss"
+    "perceptual_weight": 0.02,
+    "perceptual_mode": "image",
     "perceptual_share": 1 / 24,
 }
 
@@ -102,7 +105,9 @@ FLASH_AVATAR: dict[str, Any] = {
     "huber_delta": 0.1,
     "mouth_weight": 40.0,
     "perceptual_iterations": 15_000,
-    "boundary": "keep",  # GGAvatar, Sec. 4.2
+    # GGAvatar, Sec. 4.2: "we set the UV resolution of FlashAvatar to 256 and added the boundary"
+    "texels": 256,
+    "boundary": "keep",
 }
 
 GAUSSIAN_BLENDSHAPES: dict[str, Any] = THREE_DGS | {
