@@ -9,6 +9,7 @@ DEMO_SIZE ?= 256
 DEMO_STEPS ?= 4000
 DEMO_EVAL ?=
 TEST_FLAGS ?=
+MUTATION_FLAGS ?=
 TABLE ?= table
 TABLE_IDS ?= 1 2 3 4 5
 TABLE_FRAMES ?= 600
@@ -19,7 +20,7 @@ SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
 
-.PHONY: demo table test lint format bench clean-demo
+.PHONY: demo table test mutations lint format bench clean-demo
 
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
@@ -40,6 +41,9 @@ $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto $(TEST_FLAGS)
+
+mutations: $(VENV)/installed-dev
+	$(BIN)/python -m tests.mutations $(MUTATION_FLAGS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -95,12 +95,12 @@ def fault(test: str, old: str = "2 * x", new: str = "4 * x") -> Mutation:
 
 
 def test_faults_are_noticed_survive_or_stay_undecided(project: Path) -> None:
-    settings = Settings(jobs=1, limit=200.0, root=project)
-    seen = run_mutation(fault("test_sees"), settings)
+    settings = Settings(jobs=1, limit=200.0, preloaded=())
+    seen = run_mutation(fault("test_sees"), project, settings)
     assert (seen.verdict, seen.detail) == (KILLED, "tests/test_numbers.py::test_sees")
-    assert run_mutation(fault("test_looks_away"), settings).verdict == SURVIVED
-    assert run_mutation(fault("test_that_does_not_exist"), settings).verdict == UNDECIDED
-    late = run_mutation(fault("test_waits"), Settings(jobs=1, limit=5.0, root=project))
+    assert run_mutation(fault("test_looks_away"), project, settings).verdict == SURVIVED
+    assert run_mutation(fault("test_that_does_not_exist"), project, settings).verdict == UNDECIDED
+    late = run_mutation(fault("test_waits"), project, Settings(jobs=1, limit=5.0, preloaded=()))
     assert late.verdict == UNDECIDED and "no end within 5 s" in late.detail
     assert (project / SOURCE).read_text() == PROJECT[SOURCE]
 

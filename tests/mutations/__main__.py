@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import os
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from tests.mutations.catalogue import MUTATIONS, drawn, named
-from tests.mutations.mutation import ROOT, Mutation, StaleMutation
+from tests.mutations.mutation import ROOT, Mutation, StaleMutation, copy_project
 from tests.mutations.run import KILLED, Outcome, Settings, baseline_failure, run_all
 
 
@@ -58,18 +60,21 @@ def main(arguments: Sequence[str] | None = None, mutations: Sequence[Mutation] =
     if wanted.list:
         say("\n".join(f"{mutation.name:44}  {mutation.file}" for mutation in mutations))
         return 0
-    settings, began = Settings(max(wanted.jobs, 1), wanted.limit, root), time.monotonic()
-    try:
-        for mutation in mutations:
-            mutation.planted((settings.root / mutation.file).read_text(encoding="utf-8"))
-    except StaleMutation as error:
-        say(str(error))
-        return 1
-    if output := baseline_failure(mutations, settings):
-        say(f"{output}\nthe tests fail on the unchanged project; mend that first")
-        return 1
-    say(f"the tests pass on the unchanged project ({time.monotonic() - began:.0f} s); {len(mutations)} mutations")
-    outcomes = run_all(mutations, settings, lambda outcome: say(line(outcome)))
+    settings, began = Settings(max(wanted.jobs, 1), wanted.limit), time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="mutations-") as folder:
+        unchanged = Path(folder) / "project"
+        copy_project(root, unchanged)
+        try:
+            for mutation in mutations:
+                mutation.planted((unchanged / mutation.file).read_text(encoding="utf-8"))
+        except StaleMutation as error:
+            say(str(error))
+            return 1
+        if output := baseline_failure(mutations, unchanged, settings):
+            say(f"{output}\nthe tests fail on the unchanged project; mend that first")
+            return 1
+        say(f"the tests pass on the unchanged project ({time.monotonic() - began:.0f} s); {len(mutations)} mutations")
+        outcomes = run_all(mutations, unchanged, settings, lambda outcome: say(line(outcome)))
     alive = [outcome for outcome in outcomes if outcome.verdict != KILLED]
     for outcome in alive:
         say(f"\n{outcome.verdict}: {outcome.mutation}\n{outcome.detail}")
@@ -78,4 +83,5 @@ def main(arguments: Sequence[str] | None = None, mutations: Sequence[Mutation] =
 
 
 if __name__ == "__main__":
+    os.environ["OMP_NUM_THREADS"] = "1"  # read when the fork server loads torch
     sys.exit(main())

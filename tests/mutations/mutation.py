@@ -49,10 +49,12 @@ class Mutation:
         return text.replace(self.old, self.new)
 
     def plant(self, root: Path) -> None:
-        """Change the file in a copy of the project; never the checkout itself."""
+        """Change the file in a copy of the project and forget its bytecode; never the checkout itself."""
         assert root.resolve() != ROOT.resolve(), "mutations are applied to copies only"
         path = root / self.file
         path.write_text(self.planted(path.read_text(encoding="utf-8")), encoding="utf-8")
+        for bytecode in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
+            bytecode.unlink()
 
 
 def copy_project(root: Path, target: Path) -> None:

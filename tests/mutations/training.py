@@ -253,4 +253,18 @@ MUTATIONS = (
         "torso_pose = None if torso is None else torso[0]",
         (f"{FRAMES}::test_drives_have_the_torso_of_their_own_frame",),
     ),
+    Mutation(
+        "methods_know_the_drives_of_test_frames",
+        "ggavatar/training/run_folder.py",
+        "drives=tuple(reader.drive(number) for number in split.train)",
+        "drives=tuple(reader.drive(number) for number in capture.frames)",
+        (f"{WIRING}::test_the_scene_of_a_method_holds_training_frames_only",),
+    ),
+    Mutation(
+        "first_colors_from_test_frames",
+        "ggavatar/training/run_folder.py",
+        "evenly_spaced(split.train, SAMPLE_COUNT)",
+        "evenly_spaced(split.test, SAMPLE_COUNT)",
+        (f"{WIRING}::test_the_scene_of_a_method_holds_training_frames_only",),
+    ),
 )

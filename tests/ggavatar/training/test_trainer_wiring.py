@@ -18,9 +18,11 @@ from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import Frames
 from ggavatar.head.model import HeadModel
+from ggavatar.render.reference import rasterize
 from ggavatar.training.journal import read_journal
 from ggavatar.training.plan import TrainingPlan
 from ggavatar.training.progress import NullListener
+from ggavatar.training.run_folder import RunConfig, make_scene
 from ggavatar.training.trainer import StopSignals, Trainer
 
 STEPS = 20
@@ -180,3 +182,18 @@ def test_checkpoints_come_when_due_and_at_the_end(toy_capture: Capture, toy_head
     train(toy_capture, toy_head, tmp_path, plan_with(save_every=14))
     names = sorted(path.name for path in (tmp_path / "checkpoints").glob("*.json"))
     assert names == ["step-000000014.json", "step-000000020.json"]
+
+
+def test_the_scene_of_a_method_holds_training_frames_only(toy_capture: Capture, toy_head: HeadModel) -> None:
+    """Drives, cameras and samples of test frames would leak into poses, corrections and initial colors."""
+    split = toy_capture.splits["every-20th"]
+    plan = TrainingPlan(steps=77, max_gaussians=123)
+    config = RunConfig("ggavatar", str(toy_capture.folder), background=(0.2, 0.4, 1.0), seed=5, training=plan)
+    scene, _ = make_scene(config, toy_capture, split, "cpu", rasterize)
+    assert tuple(drive.frame for drive in scene.drives) == split.train
+    views = [toy_capture.tracking.world_to_camera[toy_capture.row(number)] for number in split.train]
+    for camera, view in zip(scene.cameras, views, strict=True):
+        assert torch.equal(camera.world_to_camera, torch.from_numpy(view).float())
+    assert scene.samples and {frame.drive.frame for frame in scene.samples} <= set(split.train)
+    assert (scene.steps, scene.max_gaussians, scene.seed) == (77, 123, 5)
+    assert torch.allclose(scene.background, COLOR) and scene.rasterize is rasterize
