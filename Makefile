@@ -7,6 +7,7 @@ DEMO_ID ?= 1
 DEMO_FRAMES ?= 600
 DEMO_SIZE ?= 256
 DEMO_STEPS ?= 4000
+DEMO_METHOD ?= ggavatar_plus
 DEMO_EVAL ?=
 TEST_FLAGS ?=
 MUTATION_FLAGS ?=
@@ -14,7 +15,7 @@ TABLE ?= table
 TABLE_IDS ?= 1 2 3 4 5
 TABLE_FRAMES ?= 600
 TABLE_SIZE ?= 256
-TABLE_METHODS ?= point_avatar flash_avatar gaussian_avatars ggavatar
+TABLE_METHODS ?= point_avatar flash_avatar gaussian_avatars ggavatar ggavatar_plus
 TABLE_FLAGS ?= --preset fast --minutes 3 --jobs 2 --max-gaussians 20000
 SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
@@ -26,7 +27,7 @@ demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
 	@test -f $(CAPTURE)/preview.jpg || $(BIN)/ggavatar-prep $(SUBJECT)/video.mp4 --tracking $(SUBJECT)/tracking --masks $(SUBJECT)/masks \
 		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) --resume -o $(CAPTURE)
-	@$(BIN)/ggavatar-train $(CAPTURE) ggavatar --steps $(DEMO_STEPS) --resume -o $(RUN)
+	@$(BIN)/ggavatar-train $(CAPTURE) $(DEMO_METHOD) --steps $(DEMO_STEPS) $$(test -e $(RUN) && echo --resume) -o $(RUN)
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
 
 table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))

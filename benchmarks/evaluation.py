@@ -18,7 +18,7 @@ from evaluate.scoring.frame_pairs import FramePair, pair_folders
 from evaluate.scoring.score import learned_metrics, score
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import available_cores
-from ggavatar.pretrained.folders import model_folders
+from ggavatar.pretrained.resolve import ModelFinder
 
 PAIRS, SIZE = 200, 512
 QUICK_PAIRS, QUICK_SIZE = 20, 128
@@ -38,7 +38,7 @@ def write_pairs(folder: Path, count: int, size: int) -> list[FramePair]:
 def scoring(pairs: Sequence[FramePair], names: Sequence[str], workers: int) -> Callable[[], object] | None:
     """A call that scores all pairs; None if weights are missing."""
     protocol = protocol_by_name("folders").override(metrics=names, table_metrics=names)
-    learned = learned_metrics(protocol, model_folders())
+    learned = learned_metrics(protocol, ModelFinder())
     if learned and learned.missing:
         return None
     return lambda: score(pairs, protocol, Labels("portrait", "blur"), learned, threads=workers)

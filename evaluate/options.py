@@ -111,6 +111,8 @@ class Options:
     """Skip learned metrics (LPIPS, faces) even if their weights are available."""
     models: Path | None = None
     """Folder searched first for the weights of learned metrics, before $GGAVATAR_MODELS and the user's cache."""
+    offline: bool = False
+    """Never download weights, as $GGAVATAR_OFFLINE=1."""
     device: str = "auto"
     """Device on which runs are rendered: auto, cpu, cuda, cuda:N or mps."""
     again: bool = False

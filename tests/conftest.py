@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,9 @@ import pytest
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Tests use the model files that are here; those of downloading have a package index of their own.
+os.environ["GGAVATAR_OFFLINE"] = "1"
 
 
 def _folder(variable: str, what: str) -> Path:
@@ -24,6 +28,20 @@ def _folder(variable: str, what: str) -> Path:
 def models_folder() -> Path:
     """Model files that the project does not ship."""
     return _folder("GGAVATAR_MODELS", "model files")
+
+
+@pytest.fixture(scope="session")
+def pretrained() -> Callable[[str], Path]:
+    """The file of a model of the catalogue, verified; `ggavatar-models --fetch NAME` puts it where it is found."""
+    from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable
+
+    def find(name: str) -> Path:
+        try:
+            return ModelFinder().find(name)
+        except ModelUnavailable:
+            pytest.skip(f"needs the weights of {name}: run ggavatar-models --fetch {name}")
+
+    return find
 
 
 @pytest.fixture(scope="session")

@@ -223,7 +223,7 @@ def test_eq_16_perceptual_loss_joins_after_the_neutral_phase_on_the_whole_image(
             assert image.shape == (24, 24, 3)
             return torch.tensor(5.0)
 
-    monkeypatch.setattr(vgg_term, "perceptual_loss", Stub)
+    monkeypatch.setattr(vgg_term, "perceptual_loss", lambda features: Stub())
     avatar = build(Config(), small_scene())
     image = torch.rand(24, 24, 3)
     drawn = Rendering(image, image[..., :1], image[..., :1], torch.zeros(8, 2), torch.ones(8))

@@ -25,7 +25,7 @@ from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
-from ggavatar.pretrained.folders import model_folders
+from ggavatar.pretrained.resolve import ModelFinder
 
 WIDTH = 160
 """Width of a table that is not printed on a terminal, characters."""
@@ -120,7 +120,7 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
     names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
     labels = Labels(*names, seed=folders.seed, provenance=provenance)
-    models = model_folders(options.models)
+    models = ModelFinder(options.models, options.offline)
     learned = None if options.no_learned else learned_metrics(protocol, models)
     faces = None if options.no_learned else face_metrics(protocol, models)
     return score(pairs, protocol, labels, learned, faces, options.threads, progress)

@@ -11,18 +11,18 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from evaluate.metrics.network_files import NO_WEIGHTS
 from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.crop_region import LEFT_EYE_OUTER, RIGHT_EYE_OUTER
 from ggavatar.landmarks.tracker import LandmarkTracker
-from ggavatar.pretrained.folders import MODELS_VARIABLE, first_file
-from ggavatar.pretrained.lpips import NO_WEIGHTS
+from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable
 
-BUNDLE = "face_landmarker.task"
+BUNDLE = "face_landmarker"
 """MediaPipe's face landmarker, also used by ggavatar-prep: 478 landmarks and 52 expression scores."""
 
-RECOGNIZER = "face_recognition_sface_2021dec.onnx"
+RECOGNIZER = "face_recognition"
 """SFace (Zhong et al. 2021): a 128-dimensional embedding of a face aligned to 112×112 px."""
 
 FIVE_POINTS = ((33, 133), (362, 263), (4,), (61,), (291,))
@@ -61,15 +61,14 @@ class FaceMetrics:
         hashes: SHA-256 of the network files by name.
     """
 
-    def __init__(self, names: Sequence[str], folders: Sequence[Path]) -> None:
-        bundle, recognizer = first_file(folders, (BUNDLE,)), first_file(folders, (RECOGNIZER,))
-        absent = {name: BUNDLE for name in names if not bundle}
-        if "identity" in names and not recognizer:
-            absent["identity"] = RECOGNIZER
-        self.missing = {
-            name: f"{NO_WEIGHTS}: {file} not found; put it into ${MODELS_VARIABLE} or pass --models DIR"
-            for name, file in absent.items()
-        }
+    def __init__(self, names: Sequence[str], models: ModelFinder) -> None:
+        """Load the networks of the metrics `names` that can be found or fetched."""
+        bundle, reason = _find(models, BUNDLE)
+        self.missing = dict.fromkeys(names, reason) if reason else {}
+        recognizer = None
+        if "identity" in names and bundle:
+            recognizer, reason = _find(models, RECOGNIZER)
+            self.missing |= {"identity": reason} if reason else {}
         self._names = [name for name in names if name not in self.missing]
         used = [bundle] * bool(self._names) + [recognizer] * ("identity" in self._names)
         self.hashes = {f"faces/{path.name}": sha256_of(path) for path in used if path}
@@ -105,6 +104,14 @@ class FaceMetrics:
     def _feature(self, image: Image, face: Face) -> np.ndarray:
         aligned = self._recognizer.alignCrop(np.ascontiguousarray(image[..., ::-1]), alignment_row(face.points))
         return self._recognizer.feature(aligned).ravel().copy()
+
+
+def _find(models: ModelFinder, name: str) -> tuple[Path | None, str]:
+    """A network's file, or None and the reason why it cannot be had."""
+    try:
+        return models.find(name), ""
+    except ModelUnavailable as missing:
+        return None, f"{NO_WEIGHTS}: {missing}"
 
 
 def alignment_row(points: Float[np.ndarray, "478 2"]) -> Float[np.ndarray, "15"]:

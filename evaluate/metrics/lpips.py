@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018, v0.1) in plain torch, with weights the user provides.
+"""LPIPS (Zhang et al. 2018, v0.1) in plain torch.
 
 The lpips package would need torchvision, which we do not depend on; it is the oracle in the tests.
 """
@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,15 +14,14 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torch.nn.functional import conv2d
 
+from evaluate.metrics.network_files import UNIT_RANGE, LpipsFiles, find_lpips, network_of
 from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
-from ggavatar.pretrained.lpips import LpipsFiles, find_lpips
+from ggavatar.pretrained.resolve import ModelFinder
+from ggavatar.pretrained.weights import load_weights
 
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Published constants that normalize RGB in [-1, 1] to the statistics of ImageNet."""
-
-MAX_WEIGHT_BYTES = 1 << 30
-UNIT_RANGE = "_unit_range"
 
 
 class Fire(nn.Module):
@@ -123,7 +120,7 @@ def load_lpips(net: str, files: LpipsFiles) -> Lpips:
         InputError: A file is damaged, or lacks layers of the network.
     """
     model = Lpips(net)
-    backbone = _load(files.backbone)
+    backbone = load_weights(files.backbone)
     features = {key.removeprefix("features."): value for key, value in backbone.items() if key.startswith("features.")}
     wanted = model.features.state_dict()
     missing = [key for key, value in wanted.items() if key not in features or features[key].shape != value.shape]
@@ -133,27 +130,12 @@ def load_lpips(net: str, files: LpipsFiles) -> Lpips:
             "use torchvision's file"
         )
     model.features.load_state_dict({key: features[key] for key in wanted})
-    heads = _load(files.head)
+    heads = load_weights(files.head)
     names = [f"lin{k}.model.1.weight" for k in range(len(model.taps))]
     if absent := [name for name in names if name not in heads]:
         raise InputError(f"{files.head}: expected {absent[0]}, found {sorted(heads)[:3]}; use the heads of LPIPS v0.1")
     model.heads = [heads[name].float() for name in names]
     return model.eval().requires_grad_(False)
-
-
-def _load(path: Path) -> dict[str, Any]:
-    """Tensors by name."""
-    if path.stat().st_size > MAX_WEIGHT_BYTES:
-        raise InputError(f"{path}: expected a weight file of at most {MAX_WEIGHT_BYTES >> 30} GiB, found a larger one")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        raise InputError(
-            f"{path}: expected plain tensors, cannot read the file ({type(error).__name__}); download it again"
-        ) from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: expected tensors by name, found {type(content).__name__}; use torchvision's file")
-    return content
 
 
 def to_signed(image: UInt8[np.ndarray, "H W 3"]) -> Float[Tensor, "1 3 H W"]:
@@ -169,21 +151,16 @@ class PerceptualMetrics:
         hashes: SHA-256 of the weight files by name.
     """
 
-    def __init__(self, names: Sequence[str], folders: Sequence[Path]) -> None:
-        self.missing: dict[str, str] = {}
-        self.hashes: dict[str, str] = {}
-        self._models: dict[str, Lpips] = {}
-        self._names = []
-        for name in names:
-            net = network_of(name)
-            files = find_lpips(net, folders)
-            if isinstance(files, str):
-                self.missing[name] = files
-                continue
-            self._names.append(name)
-            if net not in self._models:
-                self._models[net] = load_lpips(net, files)
-                self.hashes |= {f"{net}/{path.name}": sha256_of(path) for path in (files.backbone, files.head)}
+    def __init__(self, names: Sequence[str], models: ModelFinder) -> None:
+        """Load the networks of the metrics `names` that can be found or fetched."""
+        found = find_lpips(names, models)
+        files = {net: value for net, value in found.items() if isinstance(value, LpipsFiles)}
+        self.missing = {name: str(found[network_of(name)]) for name in names if network_of(name) not in files}
+        self.hashes = {
+            f"{net}/{path.name}": sha256_of(path) for net, pair in files.items() for path in (pair.backbone, pair.head)
+        }
+        self._names = [name for name in names if name not in self.missing]
+        self._models = {net: load_lpips(net, pair) for net, pair in files.items()}
         self._lock = threading.Lock()
 
     @torch.inference_mode()
@@ -198,8 +175,3 @@ class PerceptualMetrics:
         if name.endswith(UNIT_RANGE):
             first, second = (first + 1) / 2, (second + 1) / 2
         return float(self._models[network_of(name)](first, second))
-
-
-def network_of(name: str) -> str:
-    """The network of a metric's name: `alex`, `vgg` or `squeeze`."""
-    return name.removeprefix("lpips_").removesuffix(UNIT_RANGE)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from evaluate.metrics.network_files import NO_WEIGHTS
 from evaluate.options import Options
 from evaluate.protocols.protocol import GIVEN, Protocol
 from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
@@ -20,8 +21,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.io.json_files import read_json
-from ggavatar.pretrained.folders import model_folders
-from ggavatar.pretrained.lpips import NO_WEIGHTS
+from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
 from ggavatar.training.run_folder import Run, open_run, read_config
 
@@ -49,9 +49,9 @@ def evaluate_run(
     listed = split_name(run.config.split) == protocol.split == "file"
     task = prediction_task(run, protocol.override(split=GIVEN) if listed else protocol)
     home = run.folder / "eval" / protocol.id
-    folders = model_folders(options.models)
-    learned = None if options.no_learned else learned_metrics(protocol, folders)
-    faces = None if options.no_learned else face_metrics(protocol, folders)
+    models = ModelFinder(options.models, options.offline)
+    learned = None if options.no_learned else learned_metrics(protocol, models)
+    faces = None if options.no_learned else face_metrics(protocol, models)
     if options.again or _is_stale(home, task):
         remove_evaluation(home)
     earlier = _up_to_date(home, protocol, set(unavailable(protocol, learned, faces)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Protocol as Interface
 from typing import runtime_checkable
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from evaluate.metrics.catalogue import FACES
 from evaluate.metrics.faces import FaceMetrics
+from evaluate.metrics.network_files import find_lpips, network_of
 from evaluate.metrics.per_frame import measure_pixels
 from evaluate.metrics.regions import boundary_band, fill_outside
 from evaluate.protocols.protocol import Protocol
@@ -20,6 +20,7 @@ from evaluate.scoring.frame_pairs import FramePair
 from evaluate.scoring.image_decoding import read_scored, read_weights
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import available_cores, ordered_map
+from ggavatar.pretrained.resolve import ModelFinder
 
 Progress = Callable[[int, int], None]
 
@@ -95,23 +96,21 @@ def learned_names(protocol: Protocol) -> list[str]:
     return [name for name in protocol.metrics if name.startswith("lpips")]
 
 
-def face_metrics(protocol: Protocol, folders: Sequence[Path]) -> FaceMetrics | None:
-    """The protocol's face metrics, with networks from model folders; None if it has none."""
+def face_metrics(protocol: Protocol, models: ModelFinder) -> FaceMetrics | None:
+    """The protocol's face metrics, with networks that are found or fetched; None if it has none."""
     names = [name for name in protocol.metrics if name in FACES]
-    return FaceMetrics(names, folders) if names else None
+    return FaceMetrics(names, models) if names else None
 
 
-def learned_metrics(protocol: Protocol, folders: Sequence[Path]) -> LearnedMetrics | None:
-    """The protocol's learned metrics, with weights from model folders; imports torch only if there are weights."""
-    from ggavatar.pretrained.lpips import find_lpips
-
+def learned_metrics(protocol: Protocol, models: ModelFinder) -> LearnedMetrics | None:
+    """The protocol's learned metrics, with weights that are found or fetched; imports torch only if there are some."""
     names = learned_names(protocol)
-    reasons = {name: find_lpips(name.removeprefix("lpips_").removesuffix("_unit_range"), folders) for name in names}
-    if all(isinstance(reason, str) for reason in reasons.values()):
-        return UnavailableLearnedMetrics({name: str(reason) for name, reason in reasons.items()})
+    found = find_lpips(names, models)
+    if all(isinstance(files, str) for files in found.values()):
+        return UnavailableLearnedMetrics({name: str(found[network_of(name)]) for name in names})
     from evaluate.metrics.lpips import PerceptualMetrics
 
-    return PerceptualMetrics(names, folders)
+    return PerceptualMetrics(names, models)
 
 
 class UnavailableLearnedMetrics:

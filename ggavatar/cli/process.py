@@ -1,9 +1,11 @@
-"""Process-wide OpenMP and malloc settings, for training and rendering."""
+"""Process-wide settings: OpenMP, malloc, and output streams that cannot fail."""
 
 from __future__ import annotations
 
 import ctypes
+import io
 import os
+import sys
 
 MMAP_THRESHOLD, TRIM_THRESHOLD = 1 << 25, 1 << 29
 """Blocks of up to 32 MiB come from the heap, of which up to 512 MiB stay with the process when they are freed."""
@@ -14,6 +16,16 @@ def prepare_process() -> None:
     # Idle OpenMP threads would otherwise spin on the cores that our own threads use.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     _keep_freed_memory()
+
+
+def prepare_output() -> None:
+    """Let no message fail: a closed stdout or stderr swallows it, and an encoding without a character replaces it."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - open until the process ends
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _keep_freed_memory() -> None:

@@ -7,13 +7,16 @@ import os
 import sys
 from collections.abc import Callable
 
-from ggavatar.cli.process import prepare_process
+from ggavatar.cli.process import prepare_output, prepare_process
 from ggavatar.errors import EXIT_FAILURE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_USAGE, GateError, InputError
+
+FEWER = "Use fewer frames, a smaller --size or fewer Gaussians (--max-gaussians)."
 
 
 def run_command(main: Callable[[], int | None]) -> int:
     """Run the body of a command and return its exit code; expected failures become one message on stderr."""
     prepare_process()
+    prepare_output()
     try:
         return main() or 0
     except InputError as error:
@@ -23,7 +26,11 @@ def run_command(main: Callable[[], int | None]) -> int:
     except KeyboardInterrupt as error:
         return _report("interrupted", str(error) or "no further files were written", EXIT_INTERRUPTED)
     except MemoryError as error:
-        return _report("out of memory", f"{error}; use fewer frames, a smaller --size or fewer Gaussians", EXIT_FAILURE)
+        return _report("out of memory", f"{error}; {FEWER}", EXIT_FAILURE)
+    except RuntimeError as error:
+        if type(error).__name__ != "OutOfMemoryError":  # torch's, which need not be imported here
+            raise
+        return _report("out of memory", f"{str(error).splitlines()[0]} {FEWER}", EXIT_FAILURE)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILURE

@@ -15,6 +15,7 @@ from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
+from ggavatar.pretrained.folders import export_choice
 from ggavatar.training import registry
 
 
@@ -26,8 +27,8 @@ class Arguments:
     """Folder written by ggavatar-prep."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder of the run."""
-    method: Positional[str] = "ggavatar"
-    """Method or variant, as listed above."""
+    method: Annotated[Positional[str | None], arg(metavar="METHOD")] = None
+    """Method or variant, as listed above; ggavatar if not given."""
     preset: Literal["default", "fast", "paper"] | None = None
     """default: suited to the device; fast: a preview within minutes; paper: 120,000 steps, as published."""
     steps: int | None = None
@@ -54,6 +55,10 @@ class Arguments:
     """Continue the run in the output folder from its last checkpoint."""
     overwrite: bool = False
     """Replace the run in the output folder."""
+    models: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder searched first for the weights of the perceptual loss, before $GGAVATAR_MODELS and the user's cache."""
+    offline: bool = False
+    """Never download weights, as $GGAVATAR_OFFLINE=1."""
     quiet: Annotated[bool, arg(aliases=["-q"])] = False
     """Print errors only."""
 
@@ -76,6 +81,7 @@ def _train(arguments: Arguments) -> int:
 
     if arguments.resume and arguments.overwrite:
         raise InputError("--resume and --overwrite are mutually exclusive; leave one out")
+    export_choice(arguments.models, arguments.offline)
     try:
         step = train_run(arguments.capture, arguments.output, options_of(arguments), arguments.quiet)
     except TrainingInterrupted as stop:
@@ -94,7 +100,7 @@ def options_of(arguments: Arguments) -> dict[str, Any]:
     """The options that the user has given, by name: every field but those that say where and how loudly."""
     given = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(arguments)}
     given["set"] = list(arguments.set)
-    elsewhere = ("capture", "output", "quiet")
+    elsewhere = ("capture", "output", "models", "offline", "quiet")
     return {name: value for name, value in given.items() if name not in elsewhere and value is not None}
 
 

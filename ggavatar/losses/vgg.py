@@ -5,15 +5,17 @@ The network is written out here: torchvision, which has VGG16, does not import b
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, max_pool2d, relu
 
-from ggavatar.errors import InputError
-from ggavatar.pretrained.vgg import VGG16, VGG16_TO_RELU2_2, load_weights, locate
+from ggavatar.pretrained.resolve import ModelUnavailable, resolve
+from ggavatar.pretrained.weights import load_weights
 
 BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21))
 """Convolutions of VGG16's first four blocks, as torchvision numbers them; the loss compares the end of each block."""
@@ -22,6 +24,9 @@ IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 Features = tuple[Tensor, ...]
 
+FeatureChoice = Literal["best", "vgg16", "random"]
+"""Choices of features; `best` is VGG16 if its weights can be had, else random features, with a warning."""
+
 
 class PerceptualLoss(nn.Module):
     """Mean absolute difference of rectified VGG16 features, summed over the blocks (docs/paper.md, A18).
@@ -29,18 +34,18 @@ class PerceptualLoss(nn.Module):
     The weights are not part of any checkpoint.
 
     Attributes:
-        name: The features: "vgg16-relu4_3" for all four blocks, "vgg16-relu2_2" for the first two, "random-vgg" for
-            untrained weights. Report it with every number that depends on it; such a number is not LPIPS.
+        name: The features: "vgg16", or "random" for untrained weights. Report it with every number that depends on it;
+            such a number is not LPIPS.
 
     References:
         Johnson et al. 2016; GGAvatar Eq. 16 (λ2); Liu et al. 2021 (arXiv 2103.10571) for untrained weights.
     """
 
-    def __init__(self, name: str, state: dict[str, Tensor], blocks: int = len(BLOCKS)) -> None:
-        """Take the convolutions of the first `blocks` blocks out of `state` (torchvision's keys)."""
+    def __init__(self, name: str, state: dict[str, Tensor]) -> None:
+        """Take the convolutions of the four blocks out of `state` (torchvision's keys)."""
         super().__init__()
-        self.name, self.blocks = name, BLOCKS[:blocks]
-        for index in (index for block in self.blocks for index in block):
+        self.name = name
+        for index in (index for block in BLOCKS for index in block):
             weight = state[f"features.{index}.weight"].float().contiguous(memory_format=torch.channels_last)
             self.register_buffer(f"weight_{index}", weight, persistent=False)
             self.register_buffer(f"bias_{index}", state[f"features.{index}.bias"].float(), persistent=False)
@@ -57,7 +62,7 @@ class PerceptualLoss(nn.Module):
         mean, deviation = image.new_tensor(IMAGENET_MEAN), image.new_tensor(IMAGENET_DEVIATION)
         maps = ((image - mean) / deviation).permute(2, 0, 1)[None]  # channels_last without a copy
         found: list[Tensor] = []
-        for number, block in enumerate(self.blocks):
+        for number, block in enumerate(BLOCKS):
             maps = max_pool2d(maps, 2) if number else maps
             for index in block:
                 maps = relu(
@@ -67,27 +72,28 @@ class PerceptualLoss(nn.Module):
         return tuple(found)
 
 
-def perceptual_loss(folder: Path | None = None, required: bool = False, seed: int = 0) -> PerceptualLoss:
-    """The best available perceptual loss: all of VGG16, its first two blocks, or an untrained stand-in; see `.name`.
+def perceptual_loss(
+    features: FeatureChoice = "best", folder: Path | None = None, offline: bool = False, seed: int = 0
+) -> PerceptualLoss:
+    """The perceptual loss on VGG16's features, or on those of an untrained network of the same shape; see `.name`.
 
     Args:
+        features: "best", "vgg16" or "random"; a warning on stderr says that and why "best" is not VGG16.
         folder: A folder to search for weights before $GGAVATAR_MODELS and the user's cache.
-        required: Raise an error instead of returning the untrained stand-in.
-        seed: Seed of the stand-in's weights.
+        offline: Never download weights.
+        seed: Seed of the random weights.
 
     Raises:
-        InputError: Trained weights are `required` and none are found, or a file is damaged.
+        InputError: `features` is "vgg16" and its weights cannot be had, or a file is damaged.
     """
-    for model, name, blocks in ((VGG16, "vgg16-relu4_3", 4), (VGG16_TO_RELU2_2, "vgg16-relu2_2", 2)):
-        path = locate(model, folder)
-        if path is not None:
-            return PerceptualLoss(name, load_weights(path), blocks)
-    if required:
-        raise InputError(
-            f"expected the weights of VGG16 for the perceptual loss, found none; put {VGG16.file} ({VGG16.source}) "
-            "into a folder and set $GGAVATAR_MODELS to it"
-        )
-    return PerceptualLoss("random-vgg", random_weights(seed))
+    if features != "random":
+        try:
+            return PerceptualLoss("vgg16", load_weights(resolve("vgg16", folder, offline)))
+        except ModelUnavailable as missing:
+            if features == "vgg16":
+                raise
+            sys.stderr.write(f"warning: the perceptual loss compares random features in place of VGG16's: {missing}\n")
+    return PerceptualLoss("random", random_weights(seed))
 
 
 def random_weights(seed: int) -> dict[str, Tensor]:

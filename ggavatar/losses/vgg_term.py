@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from jaxtyping import Float
 from torch import Tensor
 
 from ggavatar.losses.crop_sampler import Box, CropSampler
-from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss
+from ggavatar.losses.vgg import FeatureChoice, PerceptualLoss, perceptual_loss
 from ggavatar.optim.seeding import seeded
-
-PerceptualFeatures = Literal["best", "vgg16", "random"]
-"""What the perceptual loss compares: features of VGG16, of an untrained stand-in, or of the best that can be had."""
 
 
 @dataclass
@@ -26,14 +22,14 @@ class PerceptualTerm:
         crops: Sampler of the crops; None compares whole images.
         seed: Seed of the crops.
         stream: Stream of the seed, so that the draws are independent of others.
-        features: What is compared.
+        features: What is compared: "best", "vgg16" or "random", as in `perceptual_loss`.
     """
 
     weight: float
     crops: CropSampler | None = None
     seed: int = 42
     stream: int = 3
-    features: PerceptualFeatures = "best"
+    features: FeatureChoice = "best"
     _network: list[PerceptualLoss] = field(default_factory=list, repr=False)
 
     def __call__(
@@ -55,7 +51,7 @@ class PerceptualTerm:
                 return {}
             window, weight = drawn, weight / self.crops.probability
         if not self._network:
-            self._network.append(perceptual_loss().to(target.device))
+            self._network.append(perceptual_loss(self.features).to(target.device))
         return {"perceptual": weight * self._network[0](image[window], target[window])}
 
     def notes(self) -> dict[str, str]:

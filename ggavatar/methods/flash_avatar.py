@@ -47,7 +47,8 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import huber
-from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
+from ggavatar.losses.vgg import FeatureChoice
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.networks.conditioned_mlp import ConditionedPerceptron
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
@@ -114,7 +115,7 @@ class Config:
     """Weight of the Huber loss inside the lips, in addition to that of the whole image (paper, code)."""
     perceptual_weight: float = 0.005
     """Weight of the perceptual loss; the code has 0.05 of LPIPS, which is a tenth of this loss for similar images."""
-    perceptual_features: PerceptualFeatures = "vgg16"
+    perceptual_features: FeatureChoice = "vgg16"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_iterations: int = 15_000
     """Iterations before the perceptual loss starts (code)."""
@@ -125,6 +126,13 @@ class Config:
     crop_probability: float = 1.0
     """Fraction of the steps with a crop; rare crops have larger weights and would dominate the small Huber loss."""
 
+
+TABLE_NOTES = (
+    "Gaussians on a strip of triangles computed for the head, where it has no texture layout",
+    "mouth: convex hull of the lips; head: the foreground; VGG loss instead of LPIPS",
+    "background and foreground as for all methods, not head and neck in front of green",
+)
+"""Deviations from the paper, which tables print as footnotes."""
 
 VARIANTS: dict[str, dict[str, Any]] = {}
 

@@ -32,7 +32,8 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
-from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
+from ggavatar.losses.vgg import FeatureChoice
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
@@ -107,7 +108,7 @@ class Config:
 
     perceptual_weight: float = 0.02
     """Weight of the VGG loss that the GGAvatar paper adds (Sec. 4.2); GaussianAvatars has none."""
-    perceptual_features: PerceptualFeatures = "vgg16"
+    perceptual_features: FeatureChoice = "vgg16"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_share: float = 1 / 24
     """Fraction of the training before the VGG loss starts (5,000 of the GGAvatar paper's 120,000 iterations)."""
@@ -118,6 +119,12 @@ class Config:
     crop_probability: float = 0.2
     """Fraction of the steps with a crop."""
 
+
+TABLE_NOTES = (
+    "with the perceptual loss that the GGAvatar paper adds (Sec. 4.2)",
+    "one camera: the extent of the scene is 1 m",
+)
+"""Deviations from the paper, which tables print as footnotes."""
 
 OWN_SCHEDULE: dict[str, Any] = {
     "iterations": 600_000,

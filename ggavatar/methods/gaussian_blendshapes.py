@@ -42,7 +42,8 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
-from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
+from ggavatar.losses.vgg import FeatureChoice
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
@@ -129,13 +130,19 @@ class Config:
     """Weight of the mean squared distance of teeth Gaussians from the mouth's cylinder, 1/m² (public code)."""
     perceptual_weight: float = 0.0
     """Weight of a VGG loss; the public code adds LPIPS on the data of NeRFBlendShape."""
-    perceptual_features: PerceptualFeatures = "vgg16"
+    perceptual_features: FeatureChoice = "vgg16"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     crop_side: int = 96
     """Side of a crop for the VGG loss, px (ours)."""
     crop_probability: float = 0.1
     """Fraction of the steps with a crop (ours)."""
 
+
+TABLE_NOTES = (
+    "spherical harmonics are not rotated with the skin",
+    "no LPIPS loss, as on the authors' own data",
+)
+"""Deviations from the paper, which tables print as footnotes."""
 
 SHORT_TRAINING: dict[str, Any] = {
     "perceptual_features": "best",

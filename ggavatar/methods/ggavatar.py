@@ -33,7 +33,8 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
-from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
+from ggavatar.losses.vgg import FeatureChoice
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, HashTriplaneConfig
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
@@ -125,7 +126,7 @@ class Config:
     """λ1, share of D-SSIM in the image loss (Eq. 13)."""
     perceptual_weight: float = 0.02
     """λ2, weight of the VGG loss after the neutral phase (Eq. 16)."""
-    perceptual_features: PerceptualFeatures = "vgg16"
+    perceptual_features: FeatureChoice = "vgg16"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_mode: Literal["image", "crops"] = "image"
     """VGG loss on the whole image (Section 3.4), or on crops in some steps with the same expected weight."""

@@ -24,7 +24,7 @@ from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import Box
-from ggavatar.losses.vgg_term import PerceptualFeatures
+from ggavatar.losses.vgg import FeatureChoice
 from ggavatar.methods import ggavatar
 
 
@@ -65,7 +65,7 @@ class Config:
     """Weight of the mean absolute difference between coverage and mask."""
     perceptual_weight: float = 0.02
     """Weight of the perceptual loss on crops (λ2); the paper's."""
-    perceptual_features: PerceptualFeatures = "best"
+    perceptual_features: FeatureChoice = "best"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     crop_side: int = 96
     """Side of a crop, px."""

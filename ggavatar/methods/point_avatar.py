@@ -23,7 +23,8 @@ from ggavatar.head.region_boxes import region_boxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
-from ggavatar.losses.vgg_term import PerceptualFeatures, PerceptualTerm
+from ggavatar.losses.vgg import FeatureChoice
+from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import log_linear
 from ggavatar.optim.seeding import seeded
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
@@ -103,7 +104,7 @@ class Config:
     """Weight of the mean absolute difference between coverage and mask (authors' code)."""
     perceptual_weight: float = 0.1
     """Weight of the VGG loss (authors' code)."""
-    perceptual_features: PerceptualFeatures = "vgg16"
+    perceptual_features: FeatureChoice = "vgg16"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_mode: Literal["image", "crops"] = "image"
     """VGG loss on the image resized to 224 px, or on crops in some steps with the same expected weight."""
@@ -124,6 +125,9 @@ class Config:
     regularised: int = 0
     """Random points per step for the surface and head-model terms, unbiased; 0 is all points."""
 
+
+TABLE_NOTES = ("one frame per step, where the authors' code has up to eight",)
+"""Deviations from the paper, which tables print as footnotes."""
 
 SHORT_TRAINING: dict[str, Any] = {
     "perceptual_features": "best",

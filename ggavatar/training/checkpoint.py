@@ -1,14 +1,16 @@
 """Checkpoints: one safetensors file and one JSON file per step, written atomically and verified by digest.
 
-The tensors are written first, the JSON with their digest last: a checkpoint is complete if and only if its JSON exists
-and the digest matches. After a crash at any moment the newest complete checkpoint is found and incomplete ones are
-skipped. Nothing in a checkpoint is executable.
+The tensors are written first, the JSON last. It holds the digest of the tensors among its values, and a digest over all
+values: a checkpoint is complete if and only if its JSON exists and both digests match. After a crash at any moment the
+newest complete checkpoint is found and incomplete ones are skipped. Nothing in a checkpoint is executable.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from safetensors import torch as safetensors
 from torch import Tensor, nn
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_atomically
+from ggavatar.io.atomic import require_folder, write_atomically
 from ggavatar.io.json_files import read_json, write_json
 
 KEPT_CHECKPOINTS = 2
@@ -41,13 +43,15 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], meta
         The safetensors file.
 
     Raises:
-        OSError: The disk is full or not writable; earlier checkpoints are untouched and no partial file is left.
+        OSError: The folder is gone, or the disk is full or not writable; earlier checkpoints are untouched and no
+            partial file is left.
     """
+    require_folder(folder)
     data = safetensors.save({name: value.detach().cpu().contiguous() for name, value in tensors.items()})
     path = folder / f"step-{step:09d}.safetensors"
     write_atomically(path, lambda stream: stream.write(data))
     record = {**meta, "step": step, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    write_json(path.with_suffix(".json"), record)
+    write_json(path.with_suffix(".json"), {"record": record, "record_sha256": _digest(record)})
     for old in complete_steps(folder, limit=None)[KEPT_CHECKPOINTS:]:
         _path(folder, old).with_suffix(".json").unlink(missing_ok=True)
         _path(folder, old).unlink(missing_ok=True)
@@ -61,9 +65,7 @@ def complete_steps(folder: Path, limit: int | None = 1) -> list[int]:
         folder: The run's `checkpoints` folder.
         limit: How many to find, each verified by its digest; None finds all and compares only file sizes.
     """
-    found = sorted(
-        (int(match[1]) for path in folder.glob("step-*.json") if (match := _NAME.fullmatch(path.name))), reverse=True
-    )
+    found = sorted(_steps(folder), reverse=True)
     if limit is None:
         return [step for step in found if _record(folder, step, digest=False)]
     complete: list[int] = []
@@ -94,6 +96,8 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
             damaged = ", only damaged ones" if any(folder.glob("step-*")) else ""
             raise InputError(f"{folder}: no complete checkpoint{damaged}; train again with ggavatar-train --overwrite")
         step = newest[0]
+        for later in sorted(other for other in _steps(folder) if other > step):
+            sys.stderr.write(f"warning: {_path(folder, later)}: damaged; the checkpoint of step {step} is used\n")
     record = _record(folder, step, digest=True)
     if record is None:
         available = ", ".join(map(str, complete_steps(folder, limit=None))) or "none"
@@ -104,20 +108,33 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
         raise InputError(f"{_path(folder, step)}: not a safetensors file ({error})") from error
 
 
+def _steps(folder: Path) -> list[int]:
+    """Steps of all checkpoints whose JSON exists."""
+    return [int(match[1]) for path in folder.glob("step-*.json") if (match := _NAME.fullmatch(path.name))]
+
+
+def _digest(record: Mapping[str, Any]) -> str:
+    """SHA-256 over all values of a record, whatever their order and spacing in the file."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
 def _path(folder: Path, step: int) -> Path:
     return folder / f"step-{step:09d}.safetensors"
 
 
 def _record(folder: Path, step: int, digest: bool) -> dict[str, Any] | None:
-    """The JSON of a checkpoint if its tensors match it, else None."""
+    """The JSON of a checkpoint if it is undamaged and its tensors match it, else None."""
     path = _path(folder, step)
     try:
-        record = read_json(path.with_suffix(".json"))
-        if path.stat().st_size != record["bytes"]:
+        stored = read_json(path.with_suffix(".json"))
+        record: dict[str, Any] = stored.get("record", stored)  # version 0.1 had the record alone
+        if "record" in stored and _digest(record) != stored["record_sha256"]:
+            return None
+        if record["step"] != step or path.stat().st_size != record["bytes"]:
             return None
         if digest and hashlib.sha256(path.read_bytes()).hexdigest() != record["sha256"]:
             return None
-    except (OSError, InputError, KeyError):
+    except (OSError, InputError, KeyError, TypeError, AttributeError):
         return None
     return record
 

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ggavatar.errors import InputError
+
 
 class Journal:
-    """A file of JSON lines, each with a `step`, that is appended to.
+    """A file of JSON lines, each with a `step`, that is only appended to.
 
-    It is opened at the step of a checkpoint: lines that a crash left beyond that step are dropped.
+    It is opened at the step of a checkpoint: lines that a crash left beyond that step are cut off its end.
     """
 
     def __init__(self, path: Path, after: int) -> None:
-        """Keep the lines up to step `after`, drop the others, and append from now on."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        kept = [line for line in read_journal(path) if line["step"] <= after]
-        path.write_text("".join(json.dumps(line) + "\n" for line in kept), encoding="utf-8")
-        self._file = path.open("a", encoding="utf-8")
+        """Keep the lines up to step `after`, cut off the others, and append from now on.
+
+        Raises:
+            InputError: The path is a link, whose target may be someone else's.
+        """
+        if path.is_symlink():
+            raise InputError(f"{path}: expected a journal of a training, found a link; remove it")
+        end = max((end for end, record in _records(path) if record["step"] <= after), default=0)
+        self._file = path.open("r+b" if path.exists() else "xb")
+        self._file.truncate(end)
+        self._file.seek(end)
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Append a line and flush it."""
-        self._file.write(json.dumps(record) + "\n")
+        self._file.write(json.dumps(record).encode() + b"\n")
         self._file.flush()
 
     def close(self) -> None:
@@ -32,14 +40,21 @@ class Journal:
 
 
 def read_journal(path: Path) -> list[dict[str, Any]]:
-    """All complete lines of a journal, in order; a truncated line is skipped, a missing file is an empty journal."""
-    records = []
-    if path.exists():
-        for line in path.read_text(encoding="utf-8").splitlines():
+    """All complete lines of a journal, in order; a damaged line is skipped, a missing file is an empty journal."""
+    return [record for _, record in _records(path)]
+
+
+def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The complete lines with a step, each with the position of its end in the file."""
+    if not path.is_file():
+        return
+    end = 0
+    with path.open("rb") as file:
+        for line in file:
+            end += len(line)
             try:
-                record = json.loads(line)
-            except ValueError:
+                record = json.loads(line) if line.endswith(b"\n") else None
+            except (ValueError, RecursionError):
                 continue
-            if isinstance(record, dict) and isinstance(record.get("step"), int):
-                records.append(record)
-    return records
+            if isinstance(record, dict) and type(record.get("step")) is int:
+                yield end, record

@@ -27,7 +27,9 @@ from ggavatar.data.scene import Scene
 from ggavatar.data.splits import Split, split_frames, split_name
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
+from ggavatar.io.atomic import is_partial
 from ggavatar.io.dataclass_json import from_plain, to_plain
+from ggavatar.io.folder_lock import LOCK_FILES
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
@@ -187,9 +189,14 @@ def check_run_folder(folder: Path, overwrite: bool) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for the run, found a file; choose another folder with -o")
-    if folder.exists() and any(folder.iterdir()):
-        if not (folder / "config.json").exists():
-            raise InputError(f"{folder}: expected an empty folder or a run, found other files; choose another with -o")
+    if not holds_run(folder):
+        foreign = _foreign_files(folder) if folder.exists() else []
+        if foreign:
+            raise InputError(
+                f"{folder}: expected an empty folder or a run, found other files ({foreign[0].name}); choose another "
+                "folder with -o"
+            )
+    else:
         if not overwrite:
             raise InputError(
                 f"{folder}: already holds a run; pass --resume to continue it, --overwrite to replace it, or choose "
@@ -198,17 +205,34 @@ def check_run_folder(folder: Path, overwrite: bool) -> None:
         read_config(folder)  # raises if config.json belongs to another program
 
 
+def holds_run(folder: Path) -> bool:
+    """Whether a training has begun in a folder, so that it can be resumed."""
+    return (folder / "config.json").exists()
+
+
+def _foreign_files(folder: Path) -> list[Path]:
+    """What is in a folder besides what a training leaves there that was stopped before its first step."""
+    own = {"checkpoints", "metrics", "split.json", "provenance.json", *LOCK_FILES}
+    return sorted(path for path in folder.iterdir() if path.name not in own and not is_partial(path))
+
+
 def create_run_folder(folder: Path, overwrite: bool) -> None:
-    """Create the folder of a new run, or remove the run that is in it.
+    """Create the folder of a new run, and remove the run that is in it.
 
     Raises:
         InputError: As in `check_run_folder`.
     """
     check_run_folder(folder, overwrite)
-    if (folder / "config.json").exists():
-        _remove_own_files(folder)
+    _remove_own_files(folder)
     (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
     (folder / "metrics").mkdir(exist_ok=True)
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Remove the temporary files that a killed training has left."""
+    for path in [*folder.glob(".*"), *folder.glob("checkpoints/.*"), *folder.glob("metrics/.*")]:
+        if is_partial(path):
+            path.unlink(missing_ok=True)
 
 
 def _remove_own_files(folder: Path) -> None:
@@ -220,6 +244,7 @@ def _remove_own_files(folder: Path) -> None:
     ]
     for path in [*own, *(folder / name for name in ("config.json", "provenance.json", "split.json"))]:
         path.unlink(missing_ok=True)
+    remove_partial_files(folder)
 
 
 def write_config(folder: Path, config: RunConfig, split: Split) -> None:

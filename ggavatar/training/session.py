@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,11 @@ from ggavatar.data.background import parse_background
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
-from ggavatar.io.json_files import write_json
+from ggavatar.io.atomic import require_folder
+from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.json_files import read_json, write_json
+from ggavatar.losses.vgg import perceptual_loss
+from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
@@ -23,9 +28,11 @@ from ggavatar.training.run_folder import (
     choose_split,
     create_run_folder,
     find_capture,
+    holds_run,
     make_scene,
     read_config,
     read_split,
+    remove_partial_files,
     write_config,
 )
 from ggavatar.training.trainer import StopSignals, Trainer
@@ -64,27 +71,54 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         TrainingError: Losses or gradients are not finite too often.
     """
     capture = Capture.open(capture_folder)
-    resuming = bool(options.get("resume")) and (output / "config.json").exists()
-    if resuming:
-        config, split = _resumed(output, capture, options), read_split(output)
-    else:
-        config, split = configure(capture, options)
-        check_run_folder(output, bool(options.get("overwrite")))
     with StopSignals() as stop:
-        trainer = make_trainer(output, config, capture, split)
-        if not resuming:  # after everything that can refuse the input, so that a failed start leaves nothing behind
-            create_run_folder(output, bool(options.get("overwrite")))
-            write_config(output, config, split)
-        done = trainer.resume() if resuming else 0
-        if done >= config.training.steps:
-            return done
-        provenance = provenance_of(config, capture, split)
-        write_json(output / "provenance.json", provenance)
-        trainer.listener = NullListener() if quiet else ConsoleListener(done, config.training.steps)
-        done = trainer.run(done, stop)
-        write_json(output / "provenance.json", {**provenance, **outcome_of(trainer, done)})
+        if options.get("resume") and _expect_run(output):
+            with lock_folder(output):
+                config, split = _resumed(output, capture, options), read_split(output)
+                trainer = make_trainer(output, config, capture, split)
+                remove_partial_files(output)
+                done = _train(trainer, trainer.resume(), config, capture, stop, quiet)
+        else:
+            overwrite = bool(options.get("overwrite"))
+            config, split = configure(capture, options)
+            check_run_folder(output, overwrite)
+            trainer = make_trainer(output, config, capture, split)
+            output.mkdir(parents=True, exist_ok=True)  # the input is usable: a failed start leaves nothing behind
+            with lock_folder(output):
+                create_run_folder(output, overwrite)
+                write_config(output, config, split)
+                done = _train(trainer, 0, config, capture, stop, quiet)
     if stop.received is not None and done < config.training.steps:
         raise TrainingInterrupted(done, stop.received)
+    return done
+
+
+def _expect_run(output: Path) -> bool:
+    """Whether --resume has a run to continue; a start that was stopped before its first step has none yet.
+
+    Raises:
+        InputError: There is no such folder, or nothing in it.
+    """
+    if holds_run(output):
+        return True
+    if not output.is_dir() or not any(output.iterdir()):
+        raise InputError(f"{output}: --resume found no run to continue here; check -o, or omit --resume to start one")
+    return False
+
+
+def _train(trainer: Trainer, done: int, config: RunConfig, capture: Capture, stop: StopSignals, quiet: bool) -> int:
+    """Train from step `done` + 1, record what is known before and after, and return the steps done."""
+    if done >= config.training.steps:
+        return done
+    provenance = provenance_of(config, capture, trainer.split)
+    path = trainer.folder / "provenance.json"
+    write_json(path, provenance)
+    if not quiet:
+        sys.stdout.write(describe(config) + "\n")
+        trainer.listener = ConsoleListener(done, config.training.steps)
+    done = trainer.run(done, stop)
+    require_folder(trainer.folder)
+    write_json(path, {**provenance, **outcome_of(trainer, done)})
     return done
 
 
@@ -117,9 +151,41 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
         preset=chosen,
         settings=tuple(options.get("set", ())),
         training=dataclasses.replace(training, **changes),
-        method_config=dataclasses.asdict(method.config(chosen, options.get("set", ()))),
+        method_config=dataclasses.asdict(with_features(method.config(chosen, options.get("set", ())))),
     )
     return config, split
+
+
+def with_features(settings: Any) -> Any:
+    """A method's settings with the perceptual features that this training compares instead of the `best` there are.
+
+    They are loaded, and fetched if need be, before a run is begun: a training neither fails at its first perceptual
+    step nor resumes with other features.
+
+    Raises:
+        InputError: The settings ask for VGG16 and it cannot be had.
+    """
+    if not getattr(settings, "perceptual_weight", 0.0) or not hasattr(settings, "perceptual_features"):
+        return settings
+    try:
+        features = perceptual_loss(settings.perceptual_features).name
+    except ModelUnavailable as missing:
+        raise InputError(
+            f"{missing}. To train with untrained features instead, which every table will say: --set "
+            "perceptual_features=random"
+        ) from missing
+    return dataclasses.replace(settings, perceptual_features=features)
+
+
+def describe(config: RunConfig) -> str:
+    """One line that says what is trained: method, preset, changed settings, length, and perceptual features."""
+    settings = config.method_config
+    parts = [f"{config.method}, preset {config.preset}", f"{config.training.steps:,} steps", f"seed {config.seed}"]
+    if config.settings:
+        parts.insert(1, "with " + ", ".join(config.settings))
+    if settings.get("perceptual_weight"):
+        parts.append(f"perceptual loss on {settings.get('perceptual_features')} features")
+    return ", ".join(parts)
 
 
 def make_trainer(
@@ -143,20 +209,39 @@ def make_trainer(
     )
 
 
-def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunConfig:
-    """The configuration of the run in the output folder, after checking that the options do not contradict it."""
-    config = read_config(output)
-    if find_capture(output, config).resolve() != capture.folder.resolve():
+def _check_capture(output: Path, config: RunConfig, capture: Capture) -> None:
+    """Check that a run is resumed on the capture that it began on, wherever that is now.
+
+    Raises:
+        InputError: Another capture, or one that has changed since.
+    """
+    try:
+        recorded = read_json(output / "provenance.json").get("capture_sha256")
+    except InputError:  # stopped before it was written
+        recorded = None
+    same_place = find_capture(output, config).resolve() == capture.folder.resolve()
+    if recorded is None and not same_place:
         raise InputError(
             f"{output}: was trained on {config.capture}, not on {capture.folder}; choose another folder with -o"
         )
+    if recorded is not None and recorded != capture.digest():
+        changed = (
+            f"{capture.folder} has changed since the training began"
+            if same_place
+            else (f"was trained on {config.capture}, not on {capture.folder}, which has other contents")
+        )
+        raise InputError(f"{output}: {changed}; restore it, or choose another folder with -o")
+
+
+def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunConfig:
+    """The configuration of the run in the output folder, after checking that the options do not contradict it."""
+    config = read_config(output)
+    _check_capture(output, config, capture)
     saved = {**dataclasses.asdict(config), **dataclasses.asdict(config.training)}
     saved["background"] = tuple(config.background)
     requested = dict(options)
     if "background" in options:
         requested["background"] = parse_background(options["background"])
-    if options.get("method") == "ggavatar":
-        requested.pop("method")  # the default of the command line, which need not have been requested
     for name, value in requested.items():
         if name in saved and saved[name] != value and not (name == "device" and value == "auto"):
             raise InputError(

@@ -152,6 +152,8 @@ class Trainer:
             OSError: A checkpoint cannot be written.
         """
         guard = FiniteGuard(self.plan.bad_steps)
+        for name in ("checkpoints", "metrics"):  # created here only: a folder that is removed later does not come back
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
         train_log, eval_log = (Journal(self.folder / "metrics" / name, done) for name in ("train.jsonl", "eval.jsonl"))
         started, before = time.monotonic(), self.seconds
         saved = done

@@ -55,7 +55,7 @@ def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
         InputError: No such file, or not an RVM network.
     """
     if wanted in ("auto", "selfie"):
-        from ggavatar.pretrained.catalogue import resolve
+        from ggavatar.pretrained.resolve import resolve
 
         return SelfieMatting(SelfieNetwork(resolve("selfie_segmentation", models, offline)))
     if wanted == "grabcut":

@@ -92,7 +92,7 @@ def _check_count(options: PrepOptions, count: int) -> None:
 def _face_finder(options: PrepOptions) -> Any:
     """A function that gives the face box (left, top, right, bottom; px) of a frame, or None."""
     from ggavatar.landmarks.detector import FaceDetector
-    from ggavatar.pretrained.catalogue import resolve_with_substitutes
+    from ggavatar.pretrained.resolve import resolve_with_substitutes
 
     detector = FaceDetector(resolve_with_substitutes("face_landmarker", options.models, options.offline)[0])
 

@@ -16,7 +16,8 @@ from ggavatar.landmarks.average_face import average_face
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
 from ggavatar.landmarks.networks import FaceNetworkFiles
 from ggavatar.landmarks.tracker import LandmarkTracker
-from ggavatar.pretrained import catalogue
+from ggavatar.pretrained.catalogue import MEDIAPIPE
+from ggavatar.pretrained.resolve import resolve_with_substitutes
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.tracking.face.clip_fit import CameraEstimate, ClipFit, estimate_camera, fit_face, reprojection_errors
 from preprocess.tracking.face.gaze import CLOSED_LID, centered_eyeballs, conjugate_gaze, eye_rotations
@@ -82,7 +83,7 @@ def track(
 
 def open_networks(options: PrepOptions) -> tuple[LandmarkTracker, CanonicalFace]:
     """The landmark networks and the average face: from the bundle, or their substitutes where it is not available."""
-    found = catalogue.resolve_with_substitutes("face_landmarker", options.models, options.offline)
+    found = resolve_with_substitutes("face_landmarker", options.models, options.offline)
     if len(found) == 1:
         return LandmarkTracker(found[0]), canonical_face(found[0])
     return LandmarkTracker(FaceNetworkFiles(*found)), average_face()
@@ -232,9 +233,10 @@ def _report(observations: Observations, fit: ClipFit) -> dict[str, Any]:
     scored = bool(clip.blendshapes.any())
     notes = [] if scored else [WITHOUT_BUNDLE]
     warning = f"no face in {lost} of {len(clip.found)} frames; their poses are taken from neighboring frames"
+    wheel = f"{MEDIAPIPE.project}=={MEDIAPIPE.version}"
     return {
         "tracker": "built-in",
-        "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {catalogue.WHEEL}",
+        "networks": "face_landmarker" if scored else f"face_landmark and iris_landmark of {wheel}",
         "focal_px": round(fit.camera.intrinsics.focal, 1),
         "focal_spread": round(fit.log_focal_std, 3),
         "distance_m": round(float(np.median(fit.camera.poses.translations[:, 2])), 3),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -16,8 +18,11 @@ from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import score
 from ggavatar.errors import InputError
+from ggavatar.io.digests import sha256_of
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.tracker import LandmarkTracker
+from ggavatar.pretrained.catalogue import MODELS, Model, Version
+from ggavatar.pretrained.resolve import ModelFinder
 from tests.support.image_pairs import write
 
 
@@ -45,15 +50,13 @@ def mean_color_network(path: Path) -> Path:
 
 
 @pytest.fixture
-def networks(models_folder: Path, tmp_path: Path) -> Path:
-    """A folder with the real face landmarker and the stand-in for the recognizer."""
-    folder = tmp_path / "models"
-    folder.mkdir()
-    if not (models_folder / BUNDLE).is_file():
-        pytest.skip(f"{BUNDLE} not found in $GGAVATAR_MODELS")
-    (folder / BUNDLE).symlink_to(models_folder / BUNDLE)
-    mean_color_network(folder / RECOGNIZER)
-    return folder
+def networks(pretrained: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModelFinder:
+    """The real face landmarker and, under the name of the recognizer, the stand-in for it."""
+    pretrained(BUNDLE)
+    file = mean_color_network(tmp_path / "stand_in.onnx")
+    version = Version((file.name,), sha256_of(file), file.stat().st_size)
+    monkeypatch.setitem(MODELS, RECOGNIZER, Model("testing", "none", (version,)))
+    return ModelFinder(tmp_path)
 
 
 OUTER_CORNERS = 60.0
@@ -61,11 +64,13 @@ OUTER_CORNERS = 60.0
 
 
 @pytest.mark.weights
-def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_expression(networks: Path) -> None:
+def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_expression(
+    networks: ModelFinder,
+) -> None:
     truth = astronaut()
-    faces = FaceMetrics(FACES, [networks])
+    faces = FaceMetrics(FACES, networks)
     assert faces.missing == {}
-    assert set(faces.hashes) == {f"faces/{BUNDLE}", f"faces/{RECOGNIZER}"}
+    assert set(faces.hashes) == {"faces/face_landmarker.task", "faces/stand_in.onnx"}
     same = faces.measure(truth, truth)
     assert same.values == {"landmark_distance": 0.0, "expression_distance": 0.0, "identity": pytest.approx(1)}
     moved = faces.measure(np.roll(truth, 32, axis=1), truth)
@@ -77,13 +82,13 @@ def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_
 
 
 @pytest.mark.weights
-def test_an_open_mouth_is_another_expression_and_the_order_of_frames_does_not_matter(networks: Path) -> None:
+def test_an_open_mouth_is_another_expression_and_the_order_of_frames_does_not_matter(networks: ModelFinder) -> None:
     truth = astronaut()
     opened = cv2.ellipse(truth.copy(), (223, 156), (14, 12), 0, 0, 360, (60, 20, 20), -1)
-    faces = FaceMetrics(["expression_distance"], [networks])
+    faces = FaceMetrics(["expression_distance"], networks)
     found = faces.measure(opened, truth).values
     assert set(found) == {"expression_distance"}
-    finder = LandmarkTracker(networks / BUNDLE)
+    finder = LandmarkTracker(networks.find(BUNDLE))
     scores = []
     for image in (opened, truth):
         finder.reset()
@@ -99,8 +104,8 @@ def test_an_open_mouth_is_another_expression_and_the_order_of_frames_does_not_ma
 
 
 @pytest.mark.weights
-def test_faces_are_aligned_by_eyes_nose_and_mouth(networks: Path) -> None:
-    found = LandmarkTracker(networks / BUNDLE).landmarks(astronaut())
+def test_faces_are_aligned_by_eyes_nose_and_mouth(networks: ModelFinder) -> None:
+    found = LandmarkTracker(networks.find(BUNDLE)).landmarks(astronaut())
     assert found is not None
     row = alignment_row(found.points)
     # Read off the image: the subject's right and left eye, the tip of the nose, the corners of the mouth.
@@ -111,23 +116,23 @@ def test_faces_are_aligned_by_eyes_nose_and_mouth(networks: Path) -> None:
 
 
 @pytest.mark.weights
-def test_likeness_follows_the_embedding(networks: Path) -> None:
+def test_likeness_follows_the_embedding(networks: ModelFinder) -> None:
     truth = astronaut()
     red = truth.copy()
     red[..., 1:] //= 8
-    found = FaceMetrics(["identity"], [networks]).measure(red, truth)
+    found = FaceMetrics(["identity"], networks).measure(red, truth)
     assert found.values["identity"] < 0.95
 
 
 @pytest.mark.weights
-def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path: Path) -> None:
+def test_missed_faces_are_counted_and_never_scored_zero(networks: ModelFinder, tmp_path: Path) -> None:
     portrait = astronaut()
     for frame in range(5):
         write(tmp_path / "gt" / f"{frame}.png", portrait)
         write(tmp_path / "pred" / f"{frame}.png", portrait if frame != 1 else np.full_like(portrait, 255))
     pairs = pair_folders(tmp_path / "pred", tmp_path / "gt")
     protocol = protocol_by_name("folders").override(metrics=FACES, table_metrics=FACES[:1])
-    found = score(pairs, protocol, Labels("a", "b"), faces=FaceMetrics(FACES, [networks]))
+    found = score(pairs, protocol, Labels("a", "b"), faces=FaceMetrics(FACES, networks))
     assert [value is None for value in found.values["landmark_distance"]] == [False, True, False, False, False]
     assert [value is None for value in found.values["landmark_jitter"]] == [True, True, True, True, False]
     assert found.values["landmark_jitter"][4] == 0
@@ -135,15 +140,28 @@ def test_missed_faces_are_counted_and_never_scored_zero(networks: Path, tmp_path
     assert found.summary("landmark_distance").count == 4
 
 
-def test_without_networks_there_are_reasons(tmp_path: Path) -> None:
-    faces = FaceMetrics(FACES, [tmp_path])
+def test_without_networks_there_are_reasons(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
+    faces = FaceMetrics(FACES, ModelFinder(tmp_path))
     assert set(faces.missing) == set(FACES)
-    assert RECOGNIZER in faces.missing["identity"]
-    assert BUNDLE in faces.missing["expression_distance"]
+    assert all("no weights: model file face_landmarker.task" in reason for reason in faces.missing.values())
     assert faces.measure(astronaut(), astronaut()).values == {}
-    (tmp_path / BUNDLE).write_bytes(b"not a network")
-    with pytest.raises(InputError, match="face landmarker bundle"):
-        FaceMetrics(["landmark_distance"], [tmp_path])
+    (tmp_path / "face_landmarker.task").write_bytes(b"not a network")
+    with pytest.raises(InputError, match="refused"):
+        FaceMetrics(["landmark_distance"], ModelFinder(tmp_path))
+
+
+@pytest.mark.weights
+def test_without_the_recognizer_the_rest_is_measured(
+    pretrained: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pretrained(BUNDLE)
+    absent = dataclasses.replace(MODELS[RECOGNIZER].versions[0], files=("nowhere.onnx",))
+    monkeypatch.setitem(MODELS, RECOGNIZER, Model("testing", "none", (absent,)))
+    faces = FaceMetrics(FACES, ModelFinder())
+    assert set(faces.missing) == {"identity"} and "nowhere.onnx" in faces.missing["identity"]
+    assert set(faces.measure(astronaut(), astronaut()).values) == {"landmark_distance", "expression_distance"}
 
 
 def test_cosine_by_hand() -> None:

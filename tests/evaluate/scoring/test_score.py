@@ -17,6 +17,7 @@ from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import learned_metrics, score
 from ggavatar.errors import InputError
+from ggavatar.pretrained.resolve import ModelFinder
 from tests.support.image_pairs import mean_ssim, pair, write, write_folders
 
 LABELS = Labels("Anna", "ours", seed=3)
@@ -88,7 +89,9 @@ def test_all_frames_identical(tmp_path: Path) -> None:
     assert summary["ssim"]["mean"] == 1
 
 
-def test_results_survive_their_file(tmp_path: Path) -> None:
+def test_results_survive_their_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
     predictions, truth = write_folders(tmp_path, [1, 2, 5])
     write(predictions / "frame_0002.png", pair(shift=2)[0])
     write(tmp_path / "masks" / "face" / "1.png", np.zeros((48, 64), np.uint8))
@@ -97,14 +100,14 @@ def test_results_survive_their_file(tmp_path: Path) -> None:
     pairs = pair_folders(predictions, truth, None, tmp_path / "masks")
     protocol = plain(regions=("face", "mouth"), metrics=("psnr", "ssim", "lpips_vgg", "flicker"))
     labels = Labels("Anna", "ours", 3, {"fps": 12.5}, {"run": "somewhere"}, ("a note",))
-    found = score(pairs, protocol, labels, learned_metrics(protocol, [tmp_path]))
+    found = score(pairs, protocol, labels, learned_metrics(protocol, ModelFinder()))
     write_results(found, tmp_path / "out")
     assert read_results(tmp_path / "out") == found
     assert read_results(tmp_path / "out" / "metrics.json") == found
     assert found.values["psnr@face"][0] is None
     assert found.values["psnr@face"][1] == math.inf
     assert found.missing["psnr@mouth"] == "no mask shows the region mouth"
-    assert "vgg16_features.pth" in found.missing["lpips_vgg"]
+    assert "no weights: model file vgg16_features.safetensors" in found.missing["lpips_vgg"]
     assert "psnr@mouth" not in found.values
 
 

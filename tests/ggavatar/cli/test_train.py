@@ -94,7 +94,6 @@ def test_training_says_what_it_wrote_and_what_is_next(
 
 def test_options_left_open_are_absent() -> None:
     assert options_of(Arguments(Path("c"), Path("r"), steps=3)) == {
-        "method": "ggavatar",
         "steps": 3,
         "set": [],
         "resume": False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,18 +12,15 @@ from torch import Tensor, nn
 from ggavatar.errors import InputError
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.vgg import PerceptualLoss, perceptual_loss, random_weights
-from ggavatar.pretrained.vgg import VGG16_TO_RELU2_2, load_weights, locate
-
-
-@pytest.fixture(autouse=True)
-def no_other_weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Only what a test asks for is found."""
-    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
+from ggavatar.pretrained.weights import load_weights
 
 
 @pytest.fixture
-def without_models(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_models(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """No weights anywhere; returns a folder to put some into."""
     monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
+    return tmp_path
 
 
 def image_pair(side: int = 40) -> tuple[Tensor, Tensor]:
@@ -45,24 +43,42 @@ def network(state: dict[str, Tensor]) -> list[nn.Sequential]:
     return [whole[:4], whole[4:9], whole[9:16], whole[16:]]
 
 
-@pytest.mark.usefixtures("without_models")
-def test_equals_a_network_of_torch_layers() -> None:
-    image, target = image_pair()
-    loss = perceptual_loss(seed=3)
+def expected_loss(state: dict[str, Tensor], image: Tensor, target: Tensor) -> Tensor:
+    """Johnson et al.'s features by torch's own layers, their mean absolute differences added up."""
     mean, deviation = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
     ours, theirs = (((x - mean) / deviation).permute(2, 0, 1)[None] for x in (image, target))
-    expected = torch.zeros(())
-    for block in network(random_weights(3)):
+    total = torch.zeros(())
+    for block in network(state):
         ours, theirs = block(ours), block(theirs)
-        expected = expected + (ours - theirs).abs().mean()
-    assert loss.name == "random-vgg"
-    assert loss(image, target).item() == pytest.approx(expected.item(), rel=1e-4)
+        total = total + (ours - theirs).abs().mean()
+    return total
 
 
-@pytest.mark.usefixtures("without_models")
-def test_gradient_reaches_the_image_only_and_kept_features_are_as_good() -> None:
+def test_equals_a_network_of_torch_layers() -> None:
+    image, target = image_pair()
+    loss = perceptual_loss("random", seed=3)
+    assert loss.name == "random"
+    assert loss(image, target).item() == pytest.approx(expected_loss(random_weights(3), image, target).item(), rel=1e-4)
+
+
+@pytest.mark.weights
+def test_trained_weights_are_those_of_the_file_in_all_four_blocks(pretrained: Callable[[str], Path]) -> None:
+    """The reference reads torchvision's keys itself; a kernel transposed in any block must be noticed."""
+    state = {key: tensor for key, tensor in load_weights(pretrained("vgg16")).items() if int(key.split(".")[1]) < 23}
     image, target = image_pair()
     loss = perceptual_loss()
+    found = loss(image, target).item()
+    assert loss.name == "vgg16" and [maps.shape[1] for maps in loss.features(image)] == [64, 128, 256, 512]
+    assert found == pytest.approx(expected_loss(state, image, target).item(), rel=1e-4)
+    for last in (2, 7, 14, 21):
+        key = f"features.{last}.weight"
+        transposed = state | {key: state[key].transpose(2, 3)}
+        assert found != pytest.approx(expected_loss(transposed, image, target).item(), rel=1e-3)
+
+
+def test_gradient_reaches_the_image_only_and_kept_features_are_as_good() -> None:
+    image, target = image_pair()
+    loss = perceptual_loss("random")
     image.requires_grad_()
     target.requires_grad_()
     value = loss(image, target)
@@ -74,34 +90,34 @@ def test_gradient_reaches_the_image_only_and_kept_features_are_as_good() -> None
     assert loss(target.detach(), target).item() == 0
 
 
-@pytest.mark.usefixtures("without_models")
 def test_weights_are_seeded_and_in_no_checkpoint() -> None:
-    assert not perceptual_loss().state_dict() and not list(perceptual_loss().parameters())
+    loss = perceptual_loss("random")
+    assert not loss.state_dict() and not list(loss.parameters())
     one, other, third = (random_weights(seed)["features.0.weight"] for seed in (1, 1, 2))
     assert torch.equal(one, other) and not torch.equal(one, third)
 
 
-@pytest.mark.usefixtures("without_models")
-def test_required_weights_are_asked_for() -> None:
-    with pytest.raises(InputError, match=r"vgg16-397923af\.pth.*\$GGAVATAR_MODELS"):
-        perceptual_loss(required=True)
+def test_the_best_features_without_weights_are_random_and_say_so(
+    without_models: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert perceptual_loss().name == "random"
+    warning = capsys.readouterr().err
+    assert warning.startswith("warning: the perceptual loss compares random features") and warning.count("\n") == 1
+    assert "(offline)" in warning and "ggavatar-models --fetch vgg16" in warning
+    assert perceptual_loss("random").name == "random" and capsys.readouterr().err == ""
 
 
-@pytest.mark.weights
-def test_first_two_blocks_are_named_as_such() -> None:
-    path = locate(VGG16_TO_RELU2_2)
-    if path is None:
-        pytest.skip("needs vgg16_features_to_relu2_2.pth in $GGAVATAR_MODELS")
-    loss = perceptual_loss(path.parent)
-    if loss.name == "vgg16-relu4_3":
-        pytest.skip("the whole of VGG16 is here, which is preferred")
-    assert loss.name == "vgg16-relu2_2" and len(loss.features(image_pair()[0])) == 2
-    kernel = load_weights(path)["features.0.weight"]
-    assert kernel.shape == (64, 3, 3, 3)
+def test_required_weights_are_asked_for_and_damaged_ones_are_never_replaced(without_models: Path) -> None:
+    with pytest.raises(InputError, match=r"vgg16_features\.safetensors .*ggavatar-models --fetch vgg16"):
+        perceptual_loss("vgg16")
+    (without_models / "vgg16-397923af.pth").write_bytes(b"half a download")
+    for features in ("best", "vgg16"):
+        with pytest.raises(InputError, match="refused"):
+            perceptual_loss(features, without_models)
 
 
 def test_random_weights_keep_the_scale_through_the_blocks() -> None:
-    maps = PerceptualLoss("random-vgg", random_weights(0)).features(image_pair(64)[0])
+    maps = PerceptualLoss("random", random_weights(0)).features(image_pair(64)[0])
     sizes = [float(block.square().mean()) for block in maps]
     assert all(0.1 < size / sizes[0] < 10 for size in sizes[1:])
 

@@ -13,8 +13,8 @@ from ggavatar.losses.vgg_term import PerceptualTerm
 @pytest.fixture
 def network(monkeypatch: pytest.MonkeyPatch) -> PerceptualLoss:
     """Untrained features, in place of whatever weights are at hand."""
-    untrained = PerceptualLoss("random-vgg", random_weights(0), blocks=1)
-    monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", lambda: untrained)
+    untrained = PerceptualLoss("random", random_weights(0))
+    monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", lambda features: untrained)
     return untrained
 
 
@@ -23,7 +23,7 @@ def test_whole_images_weigh_as_stated(network: PerceptualLoss) -> None:
     term = PerceptualTerm(0.02)
     assert term.notes() == {}
     assert torch.equal(term(image, target, 1)["perceptual"], 0.02 * network(image, target))
-    assert term.notes() == {"perceptual_loss": "random-vgg"}
+    assert term.notes() == {"perceptual_loss": "random"}
 
 
 def test_crops_have_the_same_expected_weight_and_repeat_themselves(network: PerceptualLoss) -> None:
@@ -36,3 +36,23 @@ def test_crops_have_the_same_expected_weight_and_repeat_themselves(network: Perc
     assert torch.allclose(torch.stack(seen), 4 * 0.02 * network(image, target))
     again = PerceptualTerm(0.02, CropSampler(side=16, probability=0.25), seed=5)
     assert [bool(again(image, target, step)) for step in range(200)] == [bool(look) for look in looks]
+
+
+def test_the_chosen_features_are_loaded_on_first_use_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def load(features: str) -> PerceptualLoss:
+        asked.append(features)
+        return PerceptualLoss(features, random_weights(0))
+
+    monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", load)
+    image = torch.zeros(16, 16, 3)
+    never = PerceptualTerm(0.02, CropSampler(side=16, probability=0.0), features="vgg16")
+    assert never(image, image, 1) == {} and never.notes() == {} and asked == []
+    term = PerceptualTerm(0.02, features="vgg16")
+    assert asked == []
+    for step in range(2):
+        term(image, image, step)
+    assert asked == ["vgg16"] and term.notes() == {"perceptual_loss": "vgg16"}
+    PerceptualTerm(0.02)(image, image, 1)
+    assert asked == ["vgg16", "best"]

@@ -1,32 +1,11 @@
-"""Progress of a training: plain lines, a journal that survives a crash, readable durations."""
+"""Progress of a training: plain lines, readable durations."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import pytest
 
 from ggavatar.training import progress
-from ggavatar.training.journal import Journal, read_journal
 from ggavatar.training.progress import ConsoleListener, format_duration, peak_memory_mib
-
-
-def test_journal_forgets_what_lies_beyond_the_checkpoint_and_torn_lines(tmp_path: Path) -> None:
-    path = tmp_path / "metrics" / "train.jsonl"
-    journal = Journal(path, 0)
-    for step in (1, 2, 3):
-        journal.write({"step": step, "loss": step / 3})
-    journal.close()
-    with path.open("a") as stream:
-        stream.write('{"step": 4, "lo')
-    again = Journal(path, 2)
-    again.write({"step": 3, "loss": 9.0})
-    again.close()
-    assert read_journal(path) == [{"step": 1, "loss": 1 / 3}, {"step": 2, "loss": 2 / 3}, {"step": 3, "loss": 9.0}]
-
-
-def test_missing_journal_is_empty(tmp_path: Path) -> None:
-    assert read_journal(tmp_path / "none.jsonl") == []
 
 
 def test_plain_lines_come_at_intervals_and_at_the_end(

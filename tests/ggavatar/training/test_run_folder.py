@@ -13,8 +13,9 @@ import torch
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
+from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.training.run_folder import choose_split, open_run, read_config
-from ggavatar.training.session import configure, train_run
+from ggavatar.training.session import configure, describe, train_run
 
 OPTIONS: dict[str, Any] = {"steps": 6, "save_every": 3, "device": "cpu", "set": ["perceptual_weight=0"]}
 
@@ -144,3 +145,24 @@ def test_max_gaussians_is_a_limit_from_the_first_step(method: str, toy_capture: 
     train_run(toy_capture.folder, tmp_path / "run", {**options, "set": ["perceptual_weight=0"]}, quiet=True)
     run = open_run(tmp_path / "run")
     assert 0 < len(run.avatar.gaussians(run.reader.drive(run.split.train[0])).means) <= limit
+
+
+def test_the_features_that_are_compared_are_settled_before_the_training(
+    toy_capture: Capture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Without VGG16 `best` becomes `random` in the run's settings; the paper's preset refuses unless told by name."""
+    monkeypatch.setattr("ggavatar.losses.vgg.resolve", _unavailable)
+    config, _ = configure(toy_capture, {"method": "ggavatar", "device": "cpu"})
+    assert config.method_config["perceptual_features"] == "random"
+    assert describe(config).endswith("seed 42, perceptual loss on random features")
+    paper = {"method": "ggavatar", "device": "cpu", "preset": "paper"}
+    with pytest.raises(InputError, match="--set perceptual_features=random"):
+        train_run(toy_capture.folder, tmp_path / "run", paper, quiet=True)
+    assert not (tmp_path / "run").exists()
+    config, _ = configure(toy_capture, {**paper, "set": ["perceptual_features=random"]})
+    assert config.method_config["perceptual_features"] == "random"
+    assert describe(config).startswith("ggavatar, preset paper, with perceptual_features=random, 120,000 steps")
+
+
+def _unavailable(*_: object, **__: object) -> Path:
+    raise ModelUnavailable("no VGG16 here")

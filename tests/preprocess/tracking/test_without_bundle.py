@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -117,14 +118,11 @@ def test_poses_jaw_and_landmarks_are_recovered_without_scores(generic: GenericHe
 
 
 @pytest.mark.weights
-def test_the_wheels_networks_find_the_portraits_eyes(models_folder: Path) -> None:
+def test_the_wheels_networks_find_the_portraits_eyes(pretrained: Callable[[str], Path]) -> None:
     """On scikit-image's astronaut, against positions read off the image."""
     from skimage.data import astronaut
 
-    names = ("face_detection_short_range.tflite", "face_landmark.tflite", "iris_landmark.tflite")
-    files = [models_folder / name for name in names]
-    if not all(path.is_file() for path in files):
-        pytest.skip(f"{', '.join(names)} not found in $GGAVATAR_MODELS")
+    files = [pretrained(name) for name in ("face_detection", "face_landmark_468", "iris_landmark")]
     tracker = LandmarkTracker(FaceNetworkFiles(*files))
     found = tracker.landmarks(astronaut())
     assert found is not None and found.presence > 0.9 and not tracker.has_blendshapes and not found.blendshapes.any()

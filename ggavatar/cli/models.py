@@ -1,0 +1,92 @@
+"""ggavatar-models: list, fetch and verify the files of pretrained models that the project does not ship."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import handle_version_flag
+from ggavatar.errors import InputError
+from ggavatar.pretrained.catalogue import MODELS, Model
+from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable, files_of, model_named
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """List the files of pretrained models; fetch the missing ones, or verify those that are here."""
+
+    fetch: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME…")] = ()
+    """Fetch these models, if they are not here."""
+    all: bool = False
+    """Fetch all models."""
+    verify: bool = False
+    """Check the SHA-256 of every file that is here."""
+    models: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder searched first, before $GGAVATAR_MODELS and the user's cache."""
+    offline: bool = False
+    """Never use the network, as $GGAVATAR_OFFLINE=1."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of ggavatar-models; returns the exit code (0 success, 1 failure, 2 missing or damaged file)."""
+    given = None if arguments is None else list(arguments)
+    handle_version_flag("ggavatar-models", given)
+    parsed = tyro.cli(Arguments, prog="ggavatar-models", args=given, config=(tyro.conf.FlagCreatePairsOff,))
+    return run_command(lambda: _models(parsed))
+
+
+def _models(arguments: Arguments) -> int:
+    finder = ModelFinder(arguments.models, arguments.offline)
+    names = list(MODELS) if arguments.all else list(arguments.fetch)
+    models = [model_named(name) for name in names]
+    problems = [problem for name, _ in zip(names, models, strict=True) if (problem := _fetch(finder, name))]
+    if arguments.verify:
+        problems += [problem for name in MODELS if (problem := _verify(finder, name))]
+    if not names and not arguments.verify:
+        sys.stdout.write("".join(_entry(finder, name, model) for name, model in MODELS.items()))
+    sys.stdout.flush()
+    if problems:
+        raise InputError("\nerror: ".join(problems))
+    return 0
+
+
+def _entry(finder: ModelFinder, name: str, model: Model) -> str:
+    """Two lines on a model: where it is or how to get it, and what it is for."""
+    here = files_of(model, finder.folders)
+    size = here[0].stat().st_size if here else model.versions[0].size
+    where = str(here[0]) if here else f"missing; ggavatar-models --fetch {name}"
+    return f"{name:<20}{size / 1e6:7.1f} MB  {model.license:<28}{where}\n{'':<32}{model.purpose}\n"
+
+
+def _fetch(finder: ModelFinder, name: str) -> str | None:
+    """Find or fetch a model and print its path; returns what is wrong."""
+    try:
+        sys.stdout.write(f"{name}: {finder.find(name)}\n")
+    except InputError as error:
+        return str(error)
+    return None
+
+
+def _verify(finder: ModelFinder, name: str) -> str | None:
+    """Verify the file of a model that the search finds and print the result; returns what is wrong."""
+    if not files_of(MODELS[name], finder.folders):
+        sys.stdout.write(f"{name}: missing\n")
+        return None
+    try:
+        sys.stdout.write(f"{name}: verified, {finder.find(name)}\n")
+    except ModelUnavailable:
+        raise
+    except InputError as error:
+        sys.stdout.write(f"{name}: damaged\n")
+        return str(error)
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

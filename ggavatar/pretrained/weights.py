@@ -1,0 +1,45 @@
+"""Loads weight files as torch tensors by name, without running anything in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import safetensors
+import safetensors.torch
+import torch
+from torch import Tensor
+
+from ggavatar.errors import InputError
+
+MAX_WEIGHT_BYTES = 1 << 30
+
+
+def load_weights(path: Path) -> dict[str, Tensor]:
+    """The named tensors of a .pth or .safetensors file, on the CPU.
+
+    Raises:
+        InputError: The file is larger than `MAX_WEIGHT_BYTES`, damaged, or holds anything but tensors by name.
+    """
+    if path.stat().st_size > MAX_WEIGHT_BYTES:
+        raise InputError(f"{path}: expected a weight file of at most {MAX_WEIGHT_BYTES >> 30} GiB, found a larger one")
+    if path.suffix == ".safetensors":
+        try:
+            return safetensors.torch.load_file(path)
+        except safetensors.SafetensorError as error:
+            raise InputError(
+                f"{path}: expected tensors by name, found a damaged file: {error}; get it again"
+            ) from error
+    return _load_pth(path)
+
+
+def _load_pth(path: Path) -> dict[str, Tensor]:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # damaged files make torch raise many types
+        first_line = str(error).partition("\n")[0] or "an empty file"
+        raise InputError(f"{path}: expected tensors by name, found other data: {first_line}; get it again") from error
+    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
+        raise InputError(f"{path}: expected tensors by name, found {type(state).__name__}; get it again")
+    return dict(state)
