@@ -1,7 +1,7 @@
 """Fetches archives from the package index that pip is configured for, and reads files in them.
 
-pip itself would run the setup script of a source archive even for `pip download`; unearth resolves and downloads the
-archive and does nothing with it. Only named members are read, into memory, so nothing in an archive can choose a path.
+Even `pip download` runs the setup script of a source archive; unearth resolves and downloads it and does nothing else.
+Only named members are read, into memory, so nothing in an archive can choose a path.
 """
 
 from __future__ import annotations
@@ -79,16 +79,15 @@ def _client(settings: IndexSettings) -> PyPIClient:
     from unearth.fetchers import PyPIClient
 
     verify = ssl.create_default_context(cafile=settings.certificate) if settings.certificate else True
-    client = PyPIClient(
+    addresses = [address for address in (settings.index, *settings.extra_indexes) if address]
+    return PyPIClient(
+        auth=MultiDomainBasicAuth(prompting=False, index_urls=addresses),
         trusted_hosts=settings.trusted_hosts,
         verify=verify,
         timeout=settings.timeout,
         proxy=settings.proxy,
         follow_redirects=True,
     )
-    addresses = [address for address in (settings.index, *settings.extra_indexes) if address]
-    client.auth = MultiDomainBasicAuth(prompting=False, index_urls=addresses)
-    return client
 
 
 def _finders(settings: IndexSettings, client: PyPIClient) -> Iterator[PackageFinder]:

@@ -7,10 +7,11 @@ checked before and after.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ggavatar.errors import InputError, nearest
@@ -47,7 +48,7 @@ class ModelFinder:
         """
         self.folders = model_folders(folder)
         self.offline = is_offline(offline)
-        self._failures: dict[str, str] = {}
+        self._failures: dict[str | Archive, str] = {}
 
     def find(self, name: str) -> Path:
         """The verified local file of a model, downloaded into the user's cache if necessary.
@@ -62,11 +63,10 @@ class ModelFinder:
             if found is not None:
                 return found
         failures = ["offline"] if self.offline else list(self._fetch_any(model))
-        for version in model.versions:
-            cached = downloads_folder() / version.files[0]
-            if not self.offline and cached.is_file():
-                return _verified(name, version, cached)
-        raise ModelUnavailable(_advice(name, model, failures))
+        found = _in_folder(name, model, downloads_folder())
+        if found is None:
+            raise ModelUnavailable(_advice(name, model, failures))
+        return found
 
     def find_with_substitutes(self, name: str) -> tuple[Path, ...]:
         """The local file of a model, or those of its substitutes if it is not available.
@@ -92,25 +92,23 @@ class ModelFinder:
             return
         for version in model.versions:
             if version.url and version.is_downloadable:
-                failure = self._attempt(version.url, version)
+                failure = self._attempt(version.url, functools.partial(_store_download, version.url, version))
                 if failure is None:
                     return
                 yield failure
         for version in model.versions:
             if version.member:
-                failure = self._attempt(str(version.member.archive), version)
+                archive = version.member.archive
+                failure = self._attempt(archive, functools.partial(_store_members, archive, version))
                 if failure is None:
                     return
                 yield failure
 
-    def _attempt(self, source: str, version: Version) -> str | None:
-        """Fetch a version from its address or archive; returns why that failed."""
+    def _attempt(self, source: str | Archive, fetch: Callable[[], None]) -> str | None:
+        """Fetch from an address or archive, unless that has failed before; returns why it failed."""
         if source not in self._failures:
             try:
-                if source == version.url:
-                    _store(version, download(version.url, version.size))
-                elif version.member:
-                    _store_members(version.member.archive, version)
+                fetch()
                 return None
             except (OSError, ValueError) as error:
                 self._failures[source] = f"{source}: {error}"
@@ -176,6 +174,11 @@ def _unwritable(folder: Path) -> str | None:
     if not os.access(folder, os.W_OK):
         return f"{folder} cannot be written; set $GGAVATAR_CACHE to a folder that can"
     return None
+
+
+def _store_download(url: str, version: Version) -> None:
+    """Store what an address delivers."""
+    _store(version, download(url, version.size))
 
 
 def _store(version: Version, data: bytes) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -206,3 +207,29 @@ def test_help_and_scoring_without_learned_metrics_import_no_torch(tmp_path: Path
     nothing = ["--models", str(tmp_path), "--no-report", "--quiet"]
     code, modules = imported([*folders, *nothing, "--no-lpips"])
     assert (code, modules) == (0, "[]")
+
+
+@pytest.mark.weights
+def test_lpips_is_a_number_with_its_weights_and_a_dash_with_a_reason_without(
+    pretrained: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pretrained("alexnet"), pretrained("lpips_alex")
+    write_folders(tmp_path, [1])
+    words = ["--pred", str(tmp_path / "pred"), "--gt", str(tmp_path / "gt"), "-o", str(tmp_path / "out"), "--no-report"]
+
+    def measured() -> tuple[float | None, str]:
+        assert main([*words, "--metrics", "psnr", "lpips_alex", "--json", "--quiet", "--offline"]) == 0
+        (found,) = json.loads(capsys.readouterr().out.splitlines()[-1])["evaluations"]
+        return found["metrics"].get("lpips_alex"), found["missing"].get("lpips_alex", "")
+
+    value, reason = measured()
+    assert value is not None and value > 0 and reason == ""
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+    value, reason = measured()
+    assert value is None and "(offline)" in reason and "ggavatar-models --fetch alexnet" in reason
+    assert main([*words, "--models", "nowhere"]) == 2
+    assert "--models nowhere: no such folder" in capsys.readouterr().err

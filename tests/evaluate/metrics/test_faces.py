@@ -64,7 +64,7 @@ OUTER_CORNERS = 60.0
 
 
 @pytest.mark.weights
-def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_the_same_expression(
+def test_a_shifted_portrait_has_the_shift_as_its_landmark_distance_and_an_equal_face(
     networks: ModelFinder,
 ) -> None:
     truth = astronaut()

