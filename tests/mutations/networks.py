@@ -5,7 +5,6 @@ from __future__ import annotations
 from tests.mutations.mutation import Mutation
 
 PAPER = "tests/test_paper.py"
-BINDING = "tests/ggavatar/gaussians/test_binding.py"
 FIELDS, ADJUSTER = "tests/ggavatar/networks/test_fields.py", "tests/ggavatar/networks/test_morph_adjuster.py"
 POSE, HEAD = "tests/ggavatar/head/test_head_pose.py", "tests/ggavatar/head/test_model.py"
 TRANSFORMS = "tests/ggavatar/geometry/test_transforms.py"
