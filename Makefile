@@ -10,6 +10,7 @@ DEMO_STEPS ?= 4000
 DEMO_METHOD ?= ggavatar_plus
 DEMO_EVAL ?=
 TEST_FLAGS ?=
+MUTATION_FLAGS ?=
 TABLE ?= table
 TABLE_IDS ?= 1 2 3 4 5
 TABLE_FRAMES ?= 600
@@ -20,7 +21,7 @@ SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
 
-.PHONY: demo table test lint format bench clean-demo
+.PHONY: demo table test mutations lint format bench clean-demo
 
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
@@ -41,6 +42,9 @@ $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto $(TEST_FLAGS)
+
+mutations: $(VENV)/installed-dev
+	$(BIN)/python -m tests.mutations $(MUTATION_FLAGS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -12,7 +12,7 @@ import pytest
 from skimage.data import astronaut
 
 from evaluate.metrics.catalogue import FACES
-from evaluate.metrics.faces import BUNDLE, RECOGNIZER, FaceMetrics, alignment_row, cosine
+from evaluate.metrics.faces import BUNDLE, RECOGNIZER, FaceMetrics, alignment_row, cosine, landmark_error
 from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
@@ -174,3 +174,10 @@ def test_the_stand_in_network_is_read_by_opencv(tmp_path: Path) -> None:
     network = cv2.dnn.readNetFromONNX(str(mean_color_network(tmp_path / "n.onnx")))
     network.setInput(np.full((1, 3, 112, 112), 7, np.float32))
     assert network.forward().ravel().tolist() == [7, 7, 7]
+
+
+def test_landmark_error_is_in_eye_distances() -> None:
+    """33 and 263 are the outer corners in MediaPipe's mesh of the face."""
+    truth = np.zeros((478, 2))
+    truth[33], truth[263] = (10.0, 5.0), (40.0, 45.0)
+    assert landmark_error(truth + np.array([10.0, -5.0]), truth)[7].tolist() == [0.2, -0.1]

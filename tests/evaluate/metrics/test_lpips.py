@@ -48,7 +48,8 @@ def images(height: int = 64, width: int = 80) -> tuple[torch.Tensor, torch.Tenso
 
 def published_formula(model: Lpips, layers: nn.Sequential, first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     """Zhang et al. 2018, Eq. 1, one image and one pixel sum at a time, in float64."""
-    shift, scale = (torch.tensor(values, dtype=torch.float64)[:, None, None] for values in (SHIFT, SCALE))
+    published = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+    shift, scale = (torch.tensor(values, dtype=torch.float64)[:, None, None] for values in published)
     totals = []
     for one, other in zip(first.double(), second.double(), strict=True):
         features = [((image - shift) / scale)[None] for image in (one, other)]
@@ -232,3 +233,17 @@ def test_a_file_that_runs_code_or_lacks_layers_is_refused(tmp_path: Path) -> Non
     torch.save({"features.0.weight": torch.zeros(64, 3, 11, 11)}, files.backbone)
     with pytest.raises(InputError, match=r"features\.0\.bias"):
         load_lpips("alex", files)
+
+
+def test_normalization_is_as_published() -> None:
+    """Zhang et al. 2018, the scaling layer of their code; it belongs to values in [-1, 1]."""
+    assert SHIFT == (-0.030, -0.088, -0.188)
+    assert SCALE == (0.458, 0.448, 0.450)
+
+
+def test_bytes_become_numbers_from_minus_one_to_one() -> None:
+    image = np.zeros((1, 3, 3), np.uint8)
+    image[0, 1], image[0, 2] = 255, (51, 102, 204)
+    found = to_signed(image)
+    assert found.shape == (1, 3, 1, 3)
+    torch.testing.assert_close(found[0, :, 0].T, torch.tensor([[-1.0] * 3, [1.0] * 3, [-0.6, -0.2, 0.6]]))

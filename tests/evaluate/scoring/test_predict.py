@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from evaluate.metrics.efficiency import model_megabytes
+from evaluate.metrics.efficiency import model_megabytes, timing
 from evaluate.protocols.protocol import protocol_by_name
 from evaluate.scoring.frame_store import PredictionTask
 from evaluate.scoring.ground_truth import GroundTruth
@@ -112,3 +112,9 @@ def test_refuses_test_frames_that_were_trained_on(run: Run) -> None:
 
 def test_model_size_counts_weights_and_buffers(run: Run) -> None:
     assert model_megabytes(run.avatar) == pytest.approx(6 * 4 / 1e6)
+
+
+def test_speed_is_that_of_the_median_frame() -> None:
+    found = timing([0.5, 0.5, 4.0], torch.device("cpu"))
+    assert found["fps"] == 2.0 and found["seconds_median"] == 0.5 and found["frames"] == 3
+    assert found["seconds_mean"] == pytest.approx(5 / 3)

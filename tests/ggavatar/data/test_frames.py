@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from ggavatar.data.capture import Capture
-from ggavatar.data.frames import Frames, evenly_spaced, head_pose, random_order
+from ggavatar.data.frames import Frames, drives_and_cameras, evenly_spaced, head_pose, random_order
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 
@@ -108,3 +108,15 @@ def test_head_pose_moves_the_skull_as_skinning_does(toy_head: HeadModel) -> None
     skull = dataclasses.replace(toy_head, skinning_weights=weights)
     motion = head_pose(skull, rotations, shift)
     assert torch.allclose(skull.vertices(drive), skull.template @ motion[:3, :3].T + motion[:3, 3], atol=1e-6)
+
+
+def test_drives_have_the_torso_of_their_own_frame(toy_capture: Capture, toy_head: HeadModel) -> None:
+    assert all(drive.torso_to_camera is None for drive in drives_and_cameras(toy_capture, toy_head, "cpu")[0])
+    torso = toy_capture.tracking.world_to_camera.copy()
+    torso[:, 0, 3] = np.arange(len(torso))
+    followed = dataclasses.replace(
+        toy_capture, tracking=dataclasses.replace(toy_capture.tracking, torso_to_camera=torso)
+    )
+    drives, _ = drives_and_cameras(followed, toy_head, "cpu")
+    seen = [drive.torso_to_camera[0, 3].item() for drive in drives if drive.torso_to_camera is not None]
+    assert seen == list(range(len(torso)))

@@ -190,3 +190,63 @@ def test_ramp_spreads_the_budget_over_the_rounds() -> None:
         plan.apply(rows, step, torch.ones(10), torch.Generator().manual_seed(0))
         counts.append(len(rows))
     assert counts == [13, 16, 19, 22, 25, 28, 31, 34, 37]
+
+
+def rows_of(scales: list[float], opacities: list[float]) -> Rows:
+    """Rows on one triangle with these standard deviations and opacities."""
+    rows = make_rows([0] * len(scales))
+    rows["log_scales"].data.copy_(torch.tensor(scales).log()[:, None].expand(-1, 3))
+    rows["opacity_logits"].data.copy_(torch.tensor(opacities).logit())
+    return rows
+
+
+def test_thresholds_are_those_of_3dgs() -> None:
+    """Kerbl et al. 2023 and their code, with an extent of 1 m and nothing said about thresholds.
+
+    Gradients from 2e-4 grow; up to 0.01 of the extent a row is copied, beyond it is split; from 0.005 of opacity and
+    up to 0.1 of the extent a row stays.
+    """
+    plan = DensityControl(start=0, stop=100, interval=10, reset_interval=20, resetting=False)
+    rows = rows_of([0.009, 0.011, 0.009], [0.5, 0.5, 0.5])
+    seen(rows, [2.1e-4, 2.1e-4, 1.9e-4])
+    plan.apply(rows, 10, torch.ones(1), torch.Generator().manual_seed(0))
+    sizes = rows["log_scales"].detach().exp()[:, 0]
+    assert torch.allclose(sizes, torch.tensor([0.009, 0.009, 0.009, 0.011 / 1.6, 0.011 / 1.6]), rtol=1e-4)
+
+    rows = rows_of([0.09, 0.11, 0.001, 0.001], [0.5, 0.5, 0.0051, 0.0049])
+    plan.apply(rows, 30, torch.ones(1), torch.Generator().manual_seed(0))
+    assert torch.allclose(rows["log_scales"].detach().exp()[:, 0], torch.tensor([0.09, 0.001]), rtol=1e-4)
+    assert torch.allclose(rows["opacity_logits"].sigmoid(), torch.tensor([0.5, 0.0051]), rtol=1e-3)
+
+
+def test_limits_are_relative_to_the_extent() -> None:
+    plan = DensityControl(start=0, stop=100, interval=10, reset_interval=20, resetting=False, extent=0.1)
+    rows = rows_of([0.0009, 0.0011], [0.5, 0.5])
+    seen(rows, [1.0, 1.0])
+    plan.apply(rows, 10, torch.ones(1), torch.Generator().manual_seed(0))
+    assert len(rows) == 4 and torch.allclose(rows["log_scales"].exp()[:2, 0], torch.tensor([0.0009, 0.0009]), rtol=1e-4)
+    rows = rows_of([0.009, 0.011], [0.5, 0.5])
+    plan.apply(rows, 30, torch.ones(1), torch.Generator().manual_seed(0))
+    assert len(rows) == 1
+
+
+def test_reset_is_to_a_hundredth_and_rows_learn_from_zero_moments() -> None:
+    rows = rows_of([0.01, 0.01], [0.9, 0.003])
+    (rows["opacity_logits"].sum() * 2).backward()
+    rows.optimizer.step()
+    reset_opacity(rows)
+    found = rows["opacity_logits"].sigmoid()
+    assert found[0].item() == pytest.approx(0.01, rel=1e-4) and found[1].item() < 0.0031
+    state = rows.optimizer.state[rows["opacity_logits"]]
+    assert not state["exp_avg"].any() and not state["exp_avg_sq"].any()
+
+
+def test_children_of_a_split_spread_in_units_of_their_triangle() -> None:
+    """A row of 20 triangles of 1 mm is 2 cm large: its children lie about 20 triangles apart, not 0.02."""
+    rows = rows_of([20.0] * 50, [0.5] * 50)
+    before = rows["means"].detach().clone()
+    seen(rows, [1.0] * 50)
+    plan = DensityControl(start=0, stop=100, interval=10, reset_interval=20, resetting=False)
+    plan.apply(rows, 10, torch.tensor([1e-3]), torch.Generator().manual_seed(0))
+    apart = rows["means"].detach() - before.repeat_interleave(2, 0)
+    assert len(rows) == 100 and 17 < apart.square().mean().sqrt() < 23

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import torch
 from scipy.spatial.transform import Rotation
@@ -75,9 +76,33 @@ def test_condition_stays_within_the_training_range(toy_head: HeadModel) -> None:
     poses = HeadPoses.of(toy_head, known)
     features = torch.stack([poses.condition(drive) for drive in known])
     assert features.shape == (4, POSE_FEATURES)
-    assert torch.allclose(features.amax(0), torch.ones(9), atol=1e-3) or (features.abs() <= 1).all()
+    moving = poses.high - poses.low > 1e-3
+    assert int(moving.sum()) >= 6
+    assert torch.allclose(features.amax(0)[moving], torch.tensor(1.0), atol=1e-5)
+    assert torch.allclose(features.amin(0)[moving], torch.tensor(-1.0), atol=1e-5)
     far = dataclasses.replace(known[0], head_to_camera=pose(0.0, 1.5, 0.0, 3.0))
     assert (poses.condition(far).abs() <= 1).all()
+
+
+def test_condition_is_the_place_in_the_training_range(toy_head: HeadModel) -> None:
+    """In closed form, for heads that turned by up to ±0.4 rad and moved by up to ±2 cm in training.
+
+    About the mean pose F, a turn R shows as F R Fᵀ, whose first two rows are cos, 0, −sin, 0, 1, 0.
+    """
+    known = [dataclasses.replace(toy_head.neutral_drive(), head_to_camera=pose(0, a, 0, a / 20)) for a in (0.4, -0.4)]
+    poses = HeadPoses.of(toy_head, known)
+
+    def condition(angle: float, shift: float) -> torch.Tensor:
+        return poses.condition(dataclasses.replace(known[0], head_to_camera=pose(0, angle, 0, shift)))
+
+    half_way = torch.zeros(9)
+    half_way[0] = 1.0  # the cosine was cos 0.4 in all of training, so any other is beyond its range
+    half_way[2], half_way[6] = -math.sin(0.2) / math.sin(0.4), 0.01 / 0.02
+    assert torch.allclose(condition(0.2, 0.01), half_way, atol=1e-3)
+    ends = torch.zeros(9)
+    ends[2], ends[6] = -1.0, 1.0
+    assert torch.allclose(condition(0.4, 0.02), ends, atol=1e-3)
+    assert condition(1.5, 3.0)[[2, 6]].tolist() == [-1.0, 1.0]
 
 
 def test_no_drives_mean_a_head_at_rest(toy_head: HeadModel) -> None:

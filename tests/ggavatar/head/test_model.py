@@ -97,6 +97,14 @@ def test_condition_is_neutral_at_the_neutral_drive() -> None:
     assert len(condition) - EXPRESSIONS + 100 == 120
 
 
+def test_condition_holds_expression_rotations_and_lids() -> None:
+    """With scipy's rotations, whose first two rows are the 6D of PyTorch3D."""
+    head, drive = random_head(), random_drive()
+    turns = [Rotation.from_rotvec(axis.numpy()).as_matrix()[:2].ravel() for axis in drive.joint_rotations[2:]]
+    parts = [drive.expression, *(torch.from_numpy(turn) for turn in turns), drive.eyelids]
+    assert torch.allclose(head.condition(drive), torch.cat(parts), atol=1e-12)
+
+
 def test_condition_ignores_rigid_pose() -> None:
     head, drive = random_head(), random_drive()
     turned = dataclasses.replace(

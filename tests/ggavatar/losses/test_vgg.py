@@ -152,3 +152,11 @@ def test_the_same_numbers_are_drawn_whatever_comes_out() -> None:
         CropSampler(probability=probability).draw(200, 200, generator)
         states.append(generator.get_state())
     assert torch.equal(*states)
+
+
+def test_half_of_the_crops_are_centered_on_boxes() -> None:
+    """The sampler's default, which all methods use."""
+    generator, sampler = torch.Generator().manual_seed(5), CropSampler(side=16, probability=1.0)
+    windows = [sampler.draw(100, 100, generator, boxes=[(40.0, 50.0, 60.0, 58.0)]) for _ in range(400)]
+    centered = sum(window == (slice(46, 62), slice(42, 58)) for window in windows)
+    assert 160 < centered < 240

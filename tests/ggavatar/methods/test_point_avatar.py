@@ -248,3 +248,31 @@ def test_two_runs_and_a_broken_one_are_bit_identical(toy_capture: Capture, tmp_p
     assert states[0].keys() == states[1].keys()
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
     assert states[0]["avatar.corrections.expression"].any()
+
+
+def test_units_are_those_of_the_authors(avatar: PointAvatar) -> None:
+    """Their FLAME is four times as large; 5e-4 is the rate of corrections, of translations in that unit."""
+    assert UNITS_PER_METER == 4.0
+    assert avatar.corrections_optimizer is not None
+    rates = [group["lr"] for group in avatar.corrections_optimizer.param_groups]
+    assert rates == pytest.approx([5e-4, 5e-4, 5e-4 / 4])
+    assert isinstance(avatar.corrections_optimizer, torch.optim.SparseAdam)
+
+
+def test_perceptual_loss_compares_images_of_224_px(
+    toy_capture: Capture, toy_head: HeadModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PointAvatar's code resizes both images for VGG; the weight is 0.1."""
+    from ggavatar.losses import vgg_term
+
+    class Features(torch.nn.Module):
+        name = "stub"
+
+        def forward(self, image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+            assert image.shape == target.shape == (224, 224, 3)
+            return torch.tensor(2.0)
+
+    monkeypatch.setattr(vgg_term, "perceptual_loss", lambda *_, **__: Features())
+    avatar = build(Config(), scene_of(toy_capture, toy_head))
+    frame, drawn = rendered(avatar, avatar.scene.drives[0])
+    assert avatar.losses(frame, drawn, 1)["perceptual"].item() == pytest.approx(0.2)

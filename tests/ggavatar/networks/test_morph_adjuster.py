@@ -66,6 +66,18 @@ def test_contraction_equals_explicit_basis_times_latent(kind: str, rows: int) ->
     assert (offsets.colors is None) == (rows == 10)
 
 
+def test_latent_vector_is_three_layers_with_rectifiers() -> None:
+    """Eq. 10 written out in float64: two hidden layers with max(x, 0), a linear output (docs/paper.md, A8, A30)."""
+    made, condition = adjuster(), draw(CONDITIONS)
+    x = condition.double()
+    layers = [layer for layer in made.latent_network if isinstance(layer, torch.nn.Linear)]
+    for number, layer in enumerate(layers):
+        x = layer.weight.detach().double() @ x + layer.bias.detach().double()
+        x = x.clamp_min(0) if number < 2 else x
+    assert [layer.out_features for layer in layers] == [16, 16, 6]
+    assert torch.allclose(made.latent(condition).double(), x, atol=1e-6) and x.abs().max() > 0.05
+
+
 @pytest.mark.parametrize("kind", ["triplane", "fourier"])
 def test_cached_and_batched_equal_direct(kind: str) -> None:
     made, x, conditions = adjuster(kind), draw(COUNT, 3), draw(3, CONDITIONS)

@@ -121,3 +121,13 @@ def test_optimizer_state_survives_a_change_of_rows() -> None:
     pull(source)
     pull(target)
     assert torch.equal(source["means"], target["means"])
+
+
+def test_adam_of_rows_is_that_of_3dgs() -> None:
+    """β of 0.9 and 0.999, ε of 1e-15: a gradient of 1e-10 moves a row by its rate, not by a hundredth of it."""
+    rows = make_rows()
+    before = rows["means"].detach().clone()
+    (1e-10 * rows["means"].sum()).backward()
+    rows.optimizer.step()
+    assert torch.allclose(before - rows["means"], torch.full((6, 3), 0.1), rtol=1e-3)
+    assert {group["betas"] for group in rows.optimizer.param_groups} == {(0.9, 0.999)}

@@ -64,3 +64,11 @@ def test_rates_are_those_of_gaussian_avatars_and_adam_steps_by_them(drives: list
 def test_drives_without_numbers_are_refused(toy_head: HeadModel) -> None:
     with pytest.raises(ValueError, match="frame numbers"):
         DriveCorrections([toy_head.neutral_drive()], CorrectionRates())
+
+
+def test_tiny_gradients_move_corrections_as_far_as_large_ones(drives: list[Drive]) -> None:
+    """GaussianAvatars' ε of 1e-15: a gradient of 1e-10 is no noise to it; at torch's 1e-8 it would move a hundredth."""
+    corrections = DriveCorrections(drives, CorrectionRates())
+    (1e-10 * corrections(drives[0]).expression.sum()).backward()
+    corrections.optimizer.step()
+    assert torch.allclose(corrections.expression[0], torch.full((3,), -1e-3), rtol=1e-3)

@@ -73,3 +73,14 @@ def test_a_step_at_a_factor_leaves_the_rate_alone() -> None:
     step_with_rate_factor(optimizer, 0.1)
     assert weight.item() == pytest.approx(0.95)
     assert optimizer.param_groups[0]["lr"] == 0.5
+
+
+def test_default_plan_is_coarse_to_fine_and_cools() -> None:
+    """The figures of docs/experiments: a quarter of the size, then half, and a decay over the last 40 % to 2 %."""
+    for plan in (preset("default", "cpu"), preset("fast", "cpu")):
+        assert [plan.size_at(share * plan.steps // 100, 512, 512)[0] for share in (1, 25, 26, 50, 51, 100)] == [
+            128, 128, 256, 256, 512, 512,
+        ]  # fmt: skip
+        assert plan.rate_factor(round(0.6 * plan.steps)) == 1
+        assert plan.rate_factor(round(0.8 * plan.steps)) == pytest.approx(0.51, abs=1e-3)
+        assert plan.rate_factor(plan.steps) == pytest.approx(0.02)

@@ -19,8 +19,8 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head, save_head
 from ggavatar.head.flame import load_flame
 from preprocess.tracking.face.flame_fit import EMBEDDING_FILE, read_embedding
+from tests.support.damaged_files import COUNT, ODD_VALUES, refused_mutants
 from tests.support.flame_files import flame_values, write_model
-from tests.support.mutations import COUNT, ODD_VALUES, refused_mutants
 from tests.support.synthetic_clip import as_tracking, ball_head, moving_record
 
 

@@ -18,7 +18,7 @@ from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npy, read_npz
 from preprocess.formats.registry import importer, importer_names
 from preprocess.video.sources import open_source
-from tests.support.mutations import COUNT, check_value_mutations, refused_mutants
+from tests.support.damaged_files import COUNT, check_value_mutations, refused_mutants
 from tests.support.synthetic_clip import moving_record, sheap_record, still_camera, weak_perspective, write_video
 
 
