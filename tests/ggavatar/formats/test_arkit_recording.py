@@ -16,7 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.arkit_recording import ARKIT_NAMES, is_arkit_recording, read_arkit_recording
 from ggavatar.io.npz import write_npz
 from ggavatar.landmarks.blendshapes import NAMES
-from tests.support.mutations import check_value_mutations, refused_mutants
+from tests.support.damaged_files import check_value_mutations, refused_mutants
 
 EYES = ("Blink", "LookDown", "LookIn", "LookOut", "LookUp", "Squint", "Wide")
 COLUMNS = """

@@ -23,7 +23,7 @@ from ggavatar.head.gnm import is_gnm, load_gnm
 from ggavatar.head.ict import EXPRESSIONS, IDENTITIES, KEPT_VERTICES, NEUTRAL, VERTICES, load_ict
 from ggavatar.io.npz import write_npz
 from ggavatar.landmarks.blendshapes import NAMES
-from tests.support.mutations import refused_mutants
+from tests.support.damaged_files import refused_mutants
 from tests.support.synthetic_clip import ball_head
 
 

@@ -21,7 +21,7 @@ import torch
 
 from ggavatar.errors import InputError
 from ggavatar.io.restricted_pickle import read_pickle
-from tests.support.mutations import refused_mutants
+from tests.support.damaged_files import refused_mutants
 
 TENSORS = {
     "float": torch.arange(6, dtype=torch.float32).reshape(2, 3),
