@@ -15,8 +15,8 @@ from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
-from ggavatar.formats.file_kinds import SUFFIXES
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
+from ggavatar.formats.splats.file_kinds import SUFFIXES
 
 SUBMISSION = "nersemble-submission"
 SPLAT_FORMATS = ("ply", "splat", "spz", "glb")

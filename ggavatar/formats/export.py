@@ -13,12 +13,12 @@ from ggavatar.core import Drive
 from ggavatar.errors import InputError
 from ggavatar.formats.drives import NamedDrive
 from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, write_flame_parameters
-from ggavatar.formats.gaussian_ply import full_degree, write_gaussian_ply
-from ggavatar.formats.glb import write_glb
 from ggavatar.formats.output_folder import atomic_folder, check_output_file
-from ggavatar.formats.splat import write_splat
-from ggavatar.formats.spz import MAX_SPZ_POSITION, write_spz
-from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
+from ggavatar.formats.splats.gaussian_ply import full_degree, write_gaussian_ply
+from ggavatar.formats.splats.glb import write_glb
+from ggavatar.formats.splats.splat import write_splat
+from ggavatar.formats.splats.spz import MAX_SPZ_POSITION, write_spz
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, to_stored
 from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.flame import JOINT_NAMES

@@ -6,13 +6,13 @@ import hashlib
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import KINDS, SOG_META, file_kind
-from ggavatar.formats.gaussian_ply import read_gaussian_ply
-from ggavatar.formats.sog import read_sog
 from ggavatar.formats.source_options import GaussianReadingOptions
-from ggavatar.formats.splat import read_splat
-from ggavatar.formats.spz_reader import read_spz
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.file_kinds import KINDS, SOG_META, file_kind
+from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply
+from ggavatar.formats.splats.sog import read_sog
+from ggavatar.formats.splats.splat import read_splat
+from ggavatar.formats.splats.spz_reader import read_spz
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 from ggavatar.io.digests import sha256_of
 
 _READERS = {"splat": read_splat, "spz": read_spz, "sog": read_sog}

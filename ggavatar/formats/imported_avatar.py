@@ -19,7 +19,7 @@ from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, 
 from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, WITH_TEETH_FACES, with_teeth
 from ggavatar.formats.gaussian_files import read_gaussians
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import StoredGaussians, activate
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, activate
 from ggavatar.gaussians.binding import bind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ggavatar.formats.file_kinds import file_kind
+from ggavatar.formats.splats.file_kinds import file_kind
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ggavatar.core import Gaussians
-from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, to_stored
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_multiply
 from ggavatar.geometry.triangles import TriangleFrames
 from ggavatar.optim.parameters import Rows

@@ -15,9 +15,9 @@ from evaluate.cli import render as render_cli
 from evaluate.rendering.standalone_file import extent, open_standalone
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
-from ggavatar.formats.gaussian_ply import write_gaussian_ply
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import to_stored
+from ggavatar.formats.splats.gaussian_ply import write_gaussian_ply
+from ggavatar.formats.splats.stored_gaussians import to_stored
 from ggavatar.formats.unbinding import unbind
 from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.io.images import read_rgb

@@ -16,11 +16,11 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats import export as exporting
 from ggavatar.formats.drives import neutral_drive
-from ggavatar.formats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.output_folder import atomic_folder
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import activate
+from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply
+from ggavatar.formats.splats.stored_gaussians import activate
 from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import open_run
 from ggavatar.training.session import train_run

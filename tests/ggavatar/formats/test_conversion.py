@@ -10,11 +10,11 @@ import pytest
 from ggavatar.cli.export import main
 from ggavatar.formats.conversion import convert
 from ggavatar.formats.gaussian_files import read_gaussians
-from ggavatar.formats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.source_options import GaussianReadingOptions
-from ggavatar.formats.splat import write_splat
-from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored_gaussians import StoredGaussians, activate, to_stored
+from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
+from ggavatar.formats.splats.splat import write_splat
+from ggavatar.formats.splats.spz import write_spz
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, activate, to_stored
 from tests.support.gaussian_cloud import cloud, psnr, render
 from tests.support.splat_files import compressed_ply, ply, sog, sog_2, zipped
 

@@ -14,11 +14,11 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.flame_parameters import FlameParameters, read_flame_parameters, write_flame_parameters
 from ggavatar.formats.flame_teeth import FLAME_FACES, FLAME_VERTICES, LOWER_LIP, UPPER_LIP, teeth_faces, with_teeth
-from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.imported_avatar import BoundAvatar, open_gaussians
 from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.source_options import GaussianFileOptions
-from ggavatar.formats.stored_gaussians import activate, to_stored
+from ggavatar.formats.splats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
+from ggavatar.formats.splats.stored_gaussians import activate, to_stored
 from ggavatar.formats.unbinding import binding_of, nearest_faces, unbind
 from ggavatar.gaussians.binding import bind_in_torch
 from ggavatar.geometry.transforms import quaternion_to_matrix

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import file_kind
 from ggavatar.formats.gaussian_files import digest, read_gaussians
-from ggavatar.formats.gaussian_ply import write_gaussian_ply
-from ggavatar.formats.glb import write_glb
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file, results_folder
-from ggavatar.formats.splat import write_splat
-from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored_gaussians import to_stored
+from ggavatar.formats.splats.file_kinds import file_kind
+from ggavatar.formats.splats.gaussian_ply import write_gaussian_ply
+from ggavatar.formats.splats.glb import write_glb
+from ggavatar.formats.splats.splat import write_splat
+from ggavatar.formats.splats.spz import write_spz
+from ggavatar.formats.splats.stored_gaussians import to_stored
 from tests.support.gaussian_cloud import cloud
 from tests.support.splat_files import SPZ_CODES, compressed_ply, sog, sog_1, sog_2, spz, zipped
 

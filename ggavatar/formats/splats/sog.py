@@ -16,12 +16,12 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.axes import Axes, in_our_axes
-from ggavatar.formats.ply import MAX_ROWS
-from ggavatar.formats.quaternion_packing import quats_from_smallest
-from ggavatar.formats.sog_files import SogFiles, open_sog, read_image
-from ggavatar.formats.sound_rows import sound_rows
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.axes import Axes, in_our_axes
+from ggavatar.formats.splats.ply import MAX_ROWS
+from ggavatar.formats.splats.quaternion_packing import quats_from_smallest
+from ggavatar.formats.splats.sog_files import SogFiles, open_sog, read_image
+from ggavatar.formats.splats.sound_rows import sound_rows
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 
 PALETTE_COLUMNS = 64
 """Entries of the palette of harmonics in one row of its image."""

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.formats.axes import Axes, in_our_axes
-from ggavatar.formats.file_kinds import SPLAT_RECORD, splat_quats
-from ggavatar.formats.ply import MAX_ROWS
-from ggavatar.formats.sound_rows import sound_rows
-from ggavatar.formats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
+from ggavatar.formats.splats.axes import Axes, in_our_axes
+from ggavatar.formats.splats.file_kinds import SPLAT_RECORD, splat_quats
+from ggavatar.formats.splats.ply import MAX_ROWS
+from ggavatar.formats.splats.sound_rows import sound_rows
+from ggavatar.formats.splats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.io.atomic import write_atomically
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import file_kind
 from ggavatar.formats.gaussian_files import read_gaussians
+from ggavatar.formats.splats.file_kinds import file_kind
 from tests.support.damaged_files import COUNT, MAX_SECONDS, ODD_VALUES, check_value_mutations, mutate
 from tests.support.splat_files import SPZ_CODES, compressed_ply, ply, sog, sog_1, sog_2, spz, zipped
 

@@ -1,6 +1,7 @@
 """PLY of 3D Gaussians as writers write it, against the values that were written; plyfile is the second reader.
 
-Also covers `ggavatar/formats/sound_rows.py`, `ggavatar/formats/activations.py` and `ggavatar/formats/axes.py`.
+Also covers `ggavatar/formats/splats/sound_rows.py`, `ggavatar/formats/splats/activations.py` and
+`ggavatar/formats/splats/axes.py`.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import plyfile
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats.gaussian_ply import read_gaussian_ply
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 from tests.support.splat_files import ply
 
 COUNT = 300

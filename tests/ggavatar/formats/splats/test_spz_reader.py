@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats.spz import write_spz
-from ggavatar.formats.spz_reader import UNSTATED_AXES_NOTE, read_spz
-from ggavatar.formats.stored_gaussians import StoredGaussians, rotate_180_about_x, to_stored
+from ggavatar.formats.splats.spz import write_spz
+from ggavatar.formats.splats.spz_reader import UNSTATED_AXES_NOTE, read_spz
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, rotate_180_about_x, to_stored
 from tests.support.gaussian_cloud import cloud
 from tests.support.splat_files import SPZ_CODES, spz
 

@@ -15,12 +15,12 @@ import numpy as np
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.activations import OpacityKind, ScaleKind, log_scales, opacity_logits
-from ggavatar.formats.axes import Axes, in_our_axes
-from ggavatar.formats.compressed_ply import decompress, is_compressed
-from ggavatar.formats.ply import Header, read_columns, read_header, read_table, trailing_bytes, write_columns
-from ggavatar.formats.sound_rows import sound_rows
-from ggavatar.formats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
+from ggavatar.formats.splats.activations import OpacityKind, ScaleKind, log_scales, opacity_logits
+from ggavatar.formats.splats.axes import Axes, in_our_axes
+from ggavatar.formats.splats.compressed_ply import decompress, is_compressed
+from ggavatar.formats.splats.ply import Header, read_columns, read_header, read_table, trailing_bytes, write_columns
+from ggavatar.formats.splats.sound_rows import sound_rows
+from ggavatar.formats.splats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
 
 VIEWER_COMMENT = "ggavatar axes: x right, y down, z away"
 LAM_OFFSET = 0.02

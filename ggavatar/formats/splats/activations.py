@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from ggavatar.formats.stored_gaussians import MIN_OPACITY, MIN_SCALE
+from ggavatar.formats.splats.stored_gaussians import MIN_OPACITY, MIN_SCALE
 
 ScaleKind = Literal["auto", "log", "linear"]
 OpacityKind = Literal["auto", "logit", "linear"]

@@ -24,13 +24,13 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.axes import Axes, in_our_axes
-from ggavatar.formats.file_kinds import GZIP_MAGIC
-from ggavatar.formats.ply import MAX_ROWS
-from ggavatar.formats.quaternion_packing import quats_from_smallest
-from ggavatar.formats.sound_rows import sound_rows
-from ggavatar.formats.spz import MAGIC
-from ggavatar.formats.stored_gaussians import StoredGaussians, flip_axes
+from ggavatar.formats.splats.axes import Axes, in_our_axes
+from ggavatar.formats.splats.file_kinds import GZIP_MAGIC
+from ggavatar.formats.splats.ply import MAX_ROWS
+from ggavatar.formats.splats.quaternion_packing import quats_from_smallest
+from ggavatar.formats.splats.sound_rows import sound_rows
+from ggavatar.formats.splats.spz import MAGIC
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, flip_axes
 
 MAX_RATIO = 1100
 """Largest ratio of unpacked to packed size that is read; deflate reaches 1032, real files about 2."""

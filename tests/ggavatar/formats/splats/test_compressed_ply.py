@@ -1,4 +1,4 @@
-"""Compressed PLY, one Gaussian at a time. Also covers `ggavatar/formats/quaternion_packing.py`."""
+"""Compressed PLY, one Gaussian at a time. Also covers `ggavatar/formats/splats/quaternion_packing.py`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats.gaussian_ply import read_gaussian_ply
-from ggavatar.formats.quaternion_packing import quats_from_smallest
-from ggavatar.formats.stored_gaussians import rotate_180_about_x
+from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply
+from ggavatar.formats.splats.quaternion_packing import quats_from_smallest
+from ggavatar.formats.splats.stored_gaussians import rotate_180_about_x
 from tests.support.splat_files import compressed_ply, ply
 
 SH_C0 = 0.28209479177387814

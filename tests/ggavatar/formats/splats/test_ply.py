@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggavatar.errors import InputError
-from ggavatar.formats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
-from ggavatar.formats.ply import MAX_ROWS, Header, read_header
-from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
+from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply, write_gaussian_ply
+from ggavatar.formats.splats.ply import MAX_ROWS, Header, read_header
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, to_stored
 from tests.support.gaussian_cloud import cloud
 
 FUZZING = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
-from ggavatar.formats.stored_gaussians import StoredGaussians, rotate_180_about_x
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, rotate_180_about_x
 
 Axes = Literal["auto", "world", "viewer"]
 VIEWER_AXES_NOTE = (

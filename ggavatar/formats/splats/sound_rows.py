@@ -10,7 +10,7 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 
 MAX_BROKEN_FRACTION = 0.01
 """A file with a larger fraction of broken rows is refused: not a few rows but the file is wrong."""

@@ -13,9 +13,9 @@ from jaxtyping import Float, UInt
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.ply import Header, read_columns, read_table
-from ggavatar.formats.quaternion_packing import quats_from_smallest
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.ply import Header, read_columns, read_table
+from ggavatar.formats.splats.quaternion_packing import quats_from_smallest
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 from ggavatar.gaussians.initial_colors import SH_C0
 
 CHUNK_ROWS = 256

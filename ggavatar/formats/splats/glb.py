@@ -19,8 +19,8 @@ from jaxtyping import Float, UInt16
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import GLB_MAGIC
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.file_kinds import GLB_MAGIC
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.io.atomic import write_atomically
 

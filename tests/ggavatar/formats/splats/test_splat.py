@@ -15,14 +15,14 @@ import torch
 
 from ggavatar.core import Gaussians
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import SPLAT_RECORD, file_kind, looks_like_splat
 from ggavatar.formats.gaussian_files import read_gaussians
-from ggavatar.formats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
 from ggavatar.formats.source_options import GaussianReadingOptions
-from ggavatar.formats.splat import read_splat as read_splat_file
-from ggavatar.formats.splat import write_splat
-from ggavatar.formats.spz import write_spz
-from ggavatar.formats.stored_gaussians import SH_SIGNS_180_ABOUT_X, activate, rotate_180_about_x, to_stored
+from ggavatar.formats.splats.file_kinds import SPLAT_RECORD, file_kind, looks_like_splat
+from ggavatar.formats.splats.gaussian_ply import full_degree, read_gaussian_ply, write_gaussian_ply
+from ggavatar.formats.splats.splat import read_splat as read_splat_file
+from ggavatar.formats.splats.splat import write_splat
+from ggavatar.formats.splats.spz import write_spz
+from ggavatar.formats.splats.stored_gaussians import SH_SIGNS_180_ABOUT_X, activate, rotate_180_about_x, to_stored
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.geometry.transforms import quaternion_to_matrix
 from ggavatar.render.harmonics import sh_basis

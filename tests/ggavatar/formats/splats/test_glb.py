@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats import glb
-from ggavatar.formats.glb import write_glb
-from ggavatar.formats.stored_gaussians import StoredGaussians, to_stored
+from ggavatar.formats.splats import glb
+from ggavatar.formats.splats.glb import write_glb
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, to_stored
 from tests.support.gaussian_cloud import cloud
 from tests.support.npm_programs import node
 

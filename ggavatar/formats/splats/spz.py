@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 
-from ggavatar.formats.stored_gaussians import StoredGaussians
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 from ggavatar.io.atomic import write_atomically
 
 MAGIC, VERSION, FRACTION_BITS = 0x5053474E, 3, 12

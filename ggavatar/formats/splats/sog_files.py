@@ -13,8 +13,8 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.file_kinds import SOG_LEVELS, SOG_META, ZIP_ERRORS, ZIP_MAGIC
-from ggavatar.formats.ply import MAX_ROWS
+from ggavatar.formats.splats.file_kinds import SOG_LEVELS, SOG_META, ZIP_ERRORS, ZIP_MAGIC
+from ggavatar.formats.splats.ply import MAX_ROWS
 from ggavatar.io.json_files import MAX_JSON_BYTES, parse_json, read_json
 
 MAX_IMAGE_BYTES = 1 << 29

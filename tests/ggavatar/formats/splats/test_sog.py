@@ -1,4 +1,4 @@
-"""SOG of versions 1 and 2 from known codes, values in closed form. Also covers `ggavatar/formats/sog_files.py`."""
+"""SOG of versions 1 and 2 from known codes, in closed form. Also covers `ggavatar/formats/splats/sog_files.py`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.formats.sog import read_sog
-from ggavatar.formats.stored_gaussians import rotate_180_about_x
+from ggavatar.formats.splats.sog import read_sog
+from ggavatar.formats.splats.stored_gaussians import rotate_180_about_x
 from tests.support.splat_files import sog, sog_1, sog_2, zipped
 
 
