@@ -126,7 +126,7 @@ def read_gray(path: Path) -> UInt8[np.ndarray, "H W"]:
 def read_unchanged(path: Path) -> np.ndarray:
     """The stored values: H×W, or H×W×3 or H×W×4 in the order red, green, blue, alpha; 8 or 16 bits; palettes as colors.
 
-    For files whose values are not colors, such as masks. Gray with alpha is returned as H×W×4.
+    Meant for files whose values are not colors, such as masks. Gray with alpha is returned as H×W×4.
     """
     import cv2
 
