@@ -10,7 +10,7 @@ MIN_CHANGE, MIN_RELATIVE_CHANGE = 6.0, 6.0
 MIN_COLOR_CHANGE, LARGE_CHANGE = 0.2, 15.0
 """A cut also changes the distribution of colors by this fraction, or the picture by so many levels.
 
-In six real clips without a cut the largest changes are 0.06 and 8.7; a cut to another clip has 0.79 and 85.
+The largest changes in six real clips without a cut are 0.06 and 8.7; a cut to another clip has 0.79 and 85.
 """
 WINDOW = 12
 """Frames before and after a change that it is compared with."""

@@ -27,7 +27,8 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 def run(context: StageContext) -> Mapping[str, Any]:
     """Write what the images show, one row per frame.
 
-    With imported tracking the face is looked for in only some frames, and only if the networks are on this machine.
+    The face is looked for in only some frames of a clip with imported tracking, and only if the networks are on this
+    machine.
     """
     options = context.options
     needed = options.tracking is None

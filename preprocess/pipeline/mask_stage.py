@@ -55,11 +55,11 @@ def _user_masks(context: StageContext, folder: Path) -> Mapping[str, Any]:
     """The user's masks, paired with the frames by number."""
     from preprocess.masks.pairing import find_mask_offset
 
-    numbers = list(context.results["evidence"]["numbers"])
-    files = _mask_files(context, folder, numbers)
+    numbers, every = (list(context.results[stage]["numbers"]) for stage in ("evidence", "frames"))
+    files = _mask_files(context, folder, every)
     crop = crop_from_json(dict(context.results["crop"]["crop"]))
     masks = open_user_masks(folder, files, context.options.invert_masks, crop, _source_size(context))
-    offset = find_mask_offset(numbers, files, lambda number: _image(context, number), masks.fitted)
+    offset = find_mask_offset(every, files, lambda number: _image(context, number), masks.fitted)
     pairs = {number: files[number + offset] for number in numbers if number + offset in files}
     _require_enough(context, folder, len(numbers), len(pairs))
     for note in (masks.levels.note, masks.size_note(next(iter(pairs.values())))):
@@ -134,7 +134,9 @@ def _require_enough(context: StageContext, folder: Path, wanted: int, found: int
 
 
 def _report_dropped(context: StageContext, source: str, wanted: int, dropped: Mapping[int, str]) -> None:
-    """Warn about frames without a mask; raise if only they are left, or with `--strict`."""
+    """Warn about frames that lack nothing but a mask; raise if only they are left, or with `--strict`."""
+    before = {number for number, _ in context.results["evidence"]["dropped"]}
+    dropped = {number: reason for number, reason in dropped.items() if number not in before}
     if not dropped:
         return
     counts = Counter(dropped.values())

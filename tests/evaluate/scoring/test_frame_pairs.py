@@ -22,6 +22,24 @@ def test_names_may_differ_and_order_is_numeric(tmp_path: Path) -> None:
     ]
 
 
+def test_names_with_a_camera_and_a_year(tmp_path: Path) -> None:
+    """VHAP's `%05d_%02d`, and a year before the number; several cameras are not mixed."""
+    image = pair()[0]
+    for frame in (2, 10, 100):
+        write(tmp_path / "truth" / f"{frame:05d}_00.png", image)
+        write(tmp_path / "predictions" / f"2026_take_{frame}.png", image)
+    pairs = pair_folders(tmp_path / "predictions", tmp_path / "truth")
+    assert [(p.frame, p.truth.name) for p in pairs] == [
+        (2, "00002_00.png"),
+        (10, "00010_00.png"),
+        (100, "00100_00.png"),
+    ]
+    for frame in (2, 10, 100):
+        write(tmp_path / "truth" / f"{frame:05d}_01.png", image)
+    with pytest.raises(InputError, match="those of cameras 0, 1; evaluate one camera at a time"):
+        pair_folders(tmp_path / "predictions", tmp_path / "truth")
+
+
 def test_missing_and_extra_renders_are_named(tmp_path: Path) -> None:
     predictions, truth = write_folders(tmp_path, [1, 2, 3])
     (predictions / "frame_0002.png").unlink()
