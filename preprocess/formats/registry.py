@@ -66,20 +66,13 @@ def detect_format(path: Path) -> str:
     if found:
         titles = "; ".join(f"--format {name.replace('_', '-')} ({importer(name).TITLE})" for name in found)
         raise InputError(f"{path}: its content fits {len(found)} formats; choose one of them: {titles}")
+    for first in list(pickled_files(path).values())[:1]:
+        read_pickle(first)  # a frame that cannot be read is the reason, and says so
     formats = "; ".join(f"{name} ({importer(name).TITLE})" for name in importer_names())
     raise InputError(
-        f"{path}: expected the output of a known tracker, found none{_unreadable(path)}. Known formats: {formats}"
+        f"{path}: expected the output of a known tracker, found none; choose the folder or file that one of these "
+        f"names: {formats}"
     )
-
-
-def _unreadable(path: Path) -> str:
-    """Why the first pickled frame of a folder cannot be read, if there is one."""
-    for first in list(pickled_files(path).values())[:1]:
-        try:
-            read_pickle(first)
-        except InputError as error:
-            return f" ({error})"
-    return ""
 
 
 def read_tracking_record(options: PrepOptions) -> tuple[str, TrackingRecord]:

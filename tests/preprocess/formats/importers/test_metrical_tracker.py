@@ -14,9 +14,10 @@ import torch
 
 from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import matrix_to_axis_angle, rotation_6d_to_matrix
-from preprocess.formats.importers import metrical_tracker
+from ggavatar.io.npz import read_npz, write_npz
+from preprocess.formats.importers import metrical_tracker, sheap, vhap_tracked
 from preprocess.formats.registry import detect_format
-from tests.support.synthetic_clip import moving_record
+from tests.support.synthetic_clip import moving_record, sheap_record, still_camera
 
 FIELDS = ("intrinsics", "world_to_camera", "expression", "joint_rotations", "eyelids", "shape")
 
@@ -140,8 +141,18 @@ def test_many_bad_frames_are_refused(tmp_path):
     metrical_tracker.write(tmp_path, moving_record(4))
     for row in range(3):
         (tmp_path / f"{row:05d}.frame").write_bytes(b"\x80\x02cos\nsystem\n.")
-    with pytest.raises(InputError, match=r"00000\.frame: refused, since it holds os\.system"):
-        metrical_tracker.read(tmp_path)
+    for read in (metrical_tracker.read, detect_format):
+        with pytest.raises(InputError, match=r"00000\.frame: refused, since it holds os\.system"):
+            read(tmp_path)
+
+
+def test_content_that_fits_two_formats(tmp_path):
+    """Both are named, with what chooses one of them."""
+    vhap_tracked.write(tmp_path / "tracked.npz", still_camera(2, (96, 96), 300.0))
+    sheap.write(tmp_path / "sheap.npz", sheap_record(2))
+    write_npz(tmp_path / "both.npz", read_npz(tmp_path / "tracked.npz") | read_npz(tmp_path / "sheap.npz"))
+    with pytest.raises(InputError, match=r"fits 2 formats; choose one .*--format sheap \(.*--format vhap-tracked \("):
+        detect_format(tmp_path / "both.npz")
 
 
 def test_tensors_of_a_users_clip(data_folder):
