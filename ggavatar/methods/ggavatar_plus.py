@@ -65,7 +65,7 @@ class Config:
     alpha_weight: float = 0.1
     """Weight of the mean absolute difference between coverage and mask."""
     perceptual_weight: float = 0.005
-    """Weight of the perceptual loss on crops; a quarter of the paper's λ2, for better PSNR and LPIPS in short trainings."""
+    """Weight of the perceptual loss on crops: a quarter of the paper's λ2."""
     perceptual_features: FeatureChoice = "best"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     crop_side: int = 96
