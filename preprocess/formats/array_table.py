@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ggavatar.errors import InputError
+from preprocess.formats.tracking_record import MAX_MAGNITUDE
 
 Assume = Callable[[str], None]
 """Called with every assumption that reading a file makes, for the report."""
@@ -99,7 +100,7 @@ def _fits(found: Sequence[int], wanted: Sequence[int | None]) -> bool:
 
 
 def _numbers(value: object) -> np.ndarray | None:
-    """An array of numbers as float64, or None."""
+    """An array of numbers as float64, those that no portrait has as NaN so that nothing overflows; or None."""
     if isinstance(value, list | tuple | int | float) and not isinstance(value, bool):
         try:
             value = np.array(value)
@@ -107,4 +108,6 @@ def _numbers(value: object) -> np.ndarray | None:
             return None
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.size > 1 << 22:
         return None
-    return value.astype(np.float64)
+    numbers = value.astype(np.float64)
+    numbers[~(np.abs(numbers) < MAX_MAGNITUDE)] = np.nan
+    return numbers

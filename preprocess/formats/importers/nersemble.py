@@ -140,7 +140,7 @@ def _camera(file: Path) -> tuple[np.ndarray, np.ndarray, str]:
         raise InputError(f"{path}: expected cameras by serial number under 'world_2_cam'; download the file again")
     serial = TRAINING_CAMERA if TRAINING_CAMERA in poses else min(poses)
     pose = number_array(path, poses[serial], (4, 4), f"'world_2_cam' of {serial}")
-    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-3 or np.abs(pose).max() > MAX_MAGNITUDE:
+    if np.abs(pose).max() > MAX_MAGNITUDE or np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-3:
         raise InputError(f"{path}: expected a rigid pose of camera {serial} in 'world_2_cam'; download the file again")
     shared: Any = intrinsics.get(serial) if isinstance(intrinsics, Mapping) else intrinsics
     matrix = number_array(path, shared, (3, 3), f"'intrinsics' of {serial}")
