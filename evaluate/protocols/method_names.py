@@ -10,12 +10,20 @@ DISPLAY_NAMES = MappingProxyType(
         "gaussian_avatars": "GaussianAvatars",
         "flash_avatar": "FlashAvatar",
         "point_avatar": "PointAvatar",
+        "gaussian_blendshapes": "Gaussian Blendshapes",
         "splatting_avatar": "SplattingAvatar",
         "mono_gaussian_avatar": "MonoGaussianAvatar",
         "ggavatar_without_adjuster": "w/o Geometry Morph Adjuster",
         "ggavatar_without_triplane": "w/o tri-plane",
         "ggavatar_without_lbs": "w/o LBS",
         "ggavatar_without_initialization": "w/o initialization",
+        "ggavatar_plus": "GGAvatar+ (ours)",
+        "ggavatar_plus_without_torso": "GGAvatar+ w/o torso",
+        "ggavatar_plus_without_pose": "GGAvatar+ w/o pose condition",
+        "ggavatar_plus_without_colour": "GGAvatar+ w/o color rows",
+        "ggavatar_plus_without_regions": "GGAvatar+ w/o region weights",
+        "ggavatar_plus_without_alpha": "GGAvatar+ w/o coverage",
+        "ggavatar_plus_full_perceptual": "GGAvatar+ with the paper's λ2",
     }
 )
 """Names as in the paper, by method name on the command line (with underscores)."""
