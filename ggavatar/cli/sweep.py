@@ -27,7 +27,7 @@ from ggavatar.sweeps.backends import Backend, CellTraining, LocalProcesses, Outc
 from ggavatar.sweeps.cell import Cell, find_console_script, train_cell
 from ggavatar.training import registry
 
-PASSED_ON = ("preset", "steps", "split", "device", "max_gaussians")
+PASSED_ON = ("preset", "steps", "split", "device", "background", "max_gaussians")
 """Flags that every ggavatar-train gets if they are given."""
 
 
@@ -63,6 +63,8 @@ class Arguments:
     """Frames to train and test on."""
     device: str | None = None
     """Device to train on."""
+    background: str | None = None
+    """white, black, or R,G,B from 0 to 1."""
     max_gaussians: int | None = None
     """Largest number of Gaussians."""
     set: UseAppendAction[tuple[str, ...]] = ()

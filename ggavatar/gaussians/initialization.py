@@ -28,9 +28,7 @@ class BoundRates:
     """Rate of the constant spherical harmonic; the rate of the others is 1/20 of it."""
 
 
-def bound_rows(
-    head: HeadModel, rates: BoundRates, sh_degree: int, generator: torch.Generator, at_most: int | None = None
-) -> Rows:
+def bound_rows(head: HeadModel, rates: BoundRates, sh_degree: int, generator: torch.Generator) -> Rows:
     """One gray Gaussian of opacity 0.1 at the centroid of every triangle, as large as the triangle.
 
     Args:
@@ -38,19 +36,13 @@ def bound_rows(
         rates: Learning rates.
         sh_degree: Highest degree of the spherical harmonics, 0 to 3; above 0 there is a column `sh_rest`.
         generator: A generator on the CPU for the small random part of the gray.
-        at_most: Largest number of Gaussians that the training allows.
 
     Raises:
-        InputError: `sh_degree` is out of range, or the head has more triangles than `at_most`.
+        InputError: `sh_degree` is out of range.
     """
     if not 0 <= sh_degree <= 3:
         raise InputError(f"sh_degree: expected 0 to 3, found {sh_degree}")
     count, device = len(head.faces), head.faces.device
-    if at_most is not None and count > at_most:
-        raise InputError(
-            f"--max-gaussians {at_most}: expected at least {count}, one Gaussian for each triangle of the head; use "
-            f"--max-gaussians {count} or more"
-        )
     learnable = {
         "means": Column(torch.zeros(count, 3), rates.means),
         "quats": Column(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1), rates.quats),

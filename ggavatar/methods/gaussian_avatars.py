@@ -28,6 +28,7 @@ from ggavatar.gaussians.initialization import BoundRates, bound_rows
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import HeadPoses
+from ggavatar.head.model import HeadModel
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
@@ -178,6 +179,11 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
+def least_gaussians(head: HeadModel) -> int:
+    """One Gaussian for each triangle, which a triangle never loses."""
+    return len(head.faces)
+
+
 def build(config: Config, scene: Scene) -> GaussianAvatars:
     """The avatar before its first step."""
     avatar = GaussianAvatars(config, scene).to(scene.background.device)
@@ -203,7 +209,7 @@ class GaussianAvatars(nn.Module):
             config.opacity_rate,
             config.color_rate,
         )
-        self.rows = bound_rows(self.head, rates, config.sh_degree, seeded(scene.seed, 4), scene.max_gaussians)
+        self.rows = bound_rows(self.head, rates, config.sh_degree, seeded(scene.seed, 4))
         self.corrections = drive_corrections(config, scene)
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)

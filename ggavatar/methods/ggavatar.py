@@ -176,6 +176,11 @@ Measured in docs/experiments/2026-11-22-learning-rates-for-short-trainings.md.
 PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {}}
 
 
+def least_gaussians(head: HeadModel) -> int:
+    """One Gaussian for each triangle, which a triangle never loses."""
+    return len(head.faces)
+
+
 def build(config: Config, scene: Scene) -> GGAvatar:
     """The avatar before its first step."""
     avatar = GGAvatar(config, scene).to(scene.background.device)
@@ -195,7 +200,7 @@ class GGAvatar(nn.Module):
         self.head: HeadModel = scene.head
         self.poses = HeadPoses.of(self.head, scene.drives)
         self.neutral_local_frames = triangle_frames(self.head.neutral(), self.head.faces)
-        self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4), scene.max_gaussians)
+        self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4))
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)

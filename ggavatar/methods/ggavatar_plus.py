@@ -83,6 +83,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "full_perceptual": {"perceptual_weight": 0.02},
 }
 
+least_gaussians = ggavatar.least_gaussians
+
 
 def build(config: Config, scene: Scene) -> GGAvatarPlus:
     """The avatar before its first step."""

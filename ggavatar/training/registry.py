@@ -2,9 +2,10 @@
 
 A method's file defines `Config` (a frozen dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of
 Config by variant; each is a further method, named `file_variant`). It may define `PRESETS` (overrides of Config by
-preset), `rasterizer(device, backend)` (a renderer of its own) and `TABLE_NOTES` (sentences below every table that shows
-the method, such as where it deviates from its paper). Names, descriptions and notes are read from the source, so that
-listing them imports no method; a method is imported when it is used.
+preset), `rasterizer(device, backend)` (a renderer of its own), `least_gaussians(head)` (the smallest number it can work
+with) and `TABLE_NOTES` (sentences below every table that shows the method, such as where it deviates from its paper).
+Names, descriptions and notes are read from the source, so that listing them imports no method; a method is imported
+when it is used.
 """
 
 from __future__ import annotations
@@ -57,6 +58,10 @@ class Method:
     def build(self, config: Any, scene: Any) -> Any:
         """The avatar before its first step."""
         return self.module.build(config, scene)
+
+    def least_gaussians(self, head: Any) -> int:
+        """The smallest number of Gaussians the method can have on a head: what its file says, else 1."""
+        return int(getattr(self.module, "least_gaussians", lambda _: 1)(head))
 
     def rasterizer(self, device: str, backend: str) -> Any:
         """The renderer of its avatars: the method's own if its file defines one, else that of the device."""

@@ -12,6 +12,7 @@ from ggavatar.data.background import parse_background
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
+from ggavatar.head.files import load_head
 from ggavatar.io.atomic import require_folder
 from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.json_files import read_json, write_json
@@ -19,9 +20,10 @@ from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
-from ggavatar.training.plan import preset
+from ggavatar.training.plan import TrainingPlan, preset
 from ggavatar.training.progress import ConsoleListener, Listener, NullListener
 from ggavatar.training.provenance import outcome_of, provenance_of
+from ggavatar.training.registry import Method
 from ggavatar.training.run_folder import (
     RunConfig,
     check_run_folder,
@@ -139,6 +141,7 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
         if value < (0 if name == "eval_every" else 1):
             least = "0 or more" if name == "eval_every" else "1 or more"
             raise InputError(f"--{name.replace('_', '-')}: expected {least}, found {value}")
+    training = with_budget(dataclasses.replace(training, **changes), method, capture, "max_gaussians" in changes)
     name, split = choose_split(capture, options.get("split", "every-20th"))
     config = RunConfig(
         method=method.name,
@@ -150,10 +153,25 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
         backend=options.get("backend", "auto"),
         preset=chosen,
         settings=tuple(options.get("set", ())),
-        training=dataclasses.replace(training, **changes),
+        training=training,
         method_config=dataclasses.asdict(with_features(method.config(chosen, options.get("set", ())))),
     )
     return config, split
+
+
+def with_budget(plan: TrainingPlan, method: Method, capture: Capture, by_name: bool) -> TrainingPlan:
+    """A plan whose number of Gaussians suffices for the head; a preset's is raised, the user's (`by_name`) is not.
+
+    Raises:
+        InputError: The user's number is too small for the method on this head.
+    """
+    least = method.least_gaussians(load_head(capture.head_path))
+    if plan.max_gaussians < least and by_name:
+        raise InputError(
+            f"--max-gaussians {plan.max_gaussians}: expected at least {least} for {method.name} on this head of "
+            f"{capture.folder}; use --max-gaussians {least} or more"
+        )
+    return dataclasses.replace(plan, max_gaussians=max(plan.max_gaussians, least))
 
 
 def with_features(settings: Any) -> Any:

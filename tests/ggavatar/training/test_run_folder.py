@@ -125,7 +125,7 @@ def test_a_budget_below_the_triangles_is_refused_before_anything_is_written(
 ) -> None:
     faces = len(load_head(toy_capture.head_path).faces)
     options = {"method": "ggavatar", "steps": 2, "eval_every": 0, "device": "cpu"}
-    with pytest.raises(InputError, match=rf"--max-gaussians {faces - 1}: expected at least {faces}"):
+    with pytest.raises(InputError, match=rf"--max-gaussians {faces - 1}: expected at least {faces} for ggavatar"):
         train_run(toy_capture.folder, tmp_path / "run", {**options, "max_gaussians": faces - 1}, quiet=True)
     assert not (tmp_path / "run").exists()
     assert train_run(toy_capture.folder, tmp_path / "run", {**options, "max_gaussians": faces}, quiet=True) == 2
@@ -166,3 +166,9 @@ def test_the_features_that_are_compared_are_settled_before_the_training(
 
 def _unavailable(*_: object, **__: object) -> Path:
     raise ModelUnavailable("no VGG16 here")
+
+
+def test_a_presets_budget_suffices_for_any_head(toy_capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ggavatar.methods.ggavatar.least_gaussians", lambda head: 55_555)
+    config, _ = configure(toy_capture, {"method": "ggavatar", "device": "cpu", "preset": "fast"})
+    assert config.training.max_gaussians == 55_555
