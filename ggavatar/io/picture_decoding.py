@@ -60,8 +60,10 @@ def read_picture(path: Path) -> Picture:
     Raises:
         InputError: No such file, damaged, or colors that cannot be converted.
     """
-    kind = picture_kind(path)
-    stored = _cmyk(path) if kind.stated.is_cmyk else read_unchanged(path)
+    header = image_header(path)
+    data = _file_bytes(path)
+    kind = _kind(path, header, data)
+    stored = _cmyk(path, data) if kind.stated.is_cmyk else _unchanged(path, header, data)
     color, alpha = stored, None
     if kind.has_alpha and stored.ndim == 3 and stored.shape[2] == 4:
         color, alpha = stored[..., :3], np.ascontiguousarray(stored[..., 3])
@@ -79,12 +81,15 @@ def read_unchanged(path: Path) -> np.ndarray:
     Raises:
         InputError: No such file, or damaged.
     """
+    return _unchanged(path, image_header(path), _file_bytes(path))
+
+
+def _unchanged(path: Path, header: ImageHeader, data: bytes) -> np.ndarray:
     import cv2
 
-    header, data = image_header(path), file_bytes(path)
     values = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None or header.orientation.size(values.shape[1], values.shape[0]) != (header.width, header.height):
-        raise damaged(path)
+        raise _damaged(path)
     if values.ndim == 3:
         values = cv2.cvtColor(values, cv2.COLOR_BGR2RGB if values.shape[2] == 3 else cv2.COLOR_BGRA2RGBA)
     return header.orientation.apply(values)
@@ -96,7 +101,11 @@ def picture_kind(path: Path) -> PictureKind:
     Raises:
         InputError: No such file, damaged, or colors that cannot be converted.
     """
-    header, stated = image_header(path), stated_colors(file_bytes(path))
+    return _kind(path, image_header(path), _file_bytes(path))
+
+
+def _kind(path: Path, header: ImageHeader, data: bytes) -> PictureKind:
+    stated = stated_colors(data)
     notes, conversion = [], None
     if header.orientation != UPRIGHT:
         notes.append(f"images {header.orientation.words}, as their EXIF orientation says")
@@ -126,14 +135,14 @@ def picture_kind(path: Path) -> PictureKind:
     return PictureKind(header, stated, conversion, tuple(notes))
 
 
-def _cmyk(path: Path) -> UInt8[np.ndarray, "H W 4"]:
+def _cmyk(path: Path, data: bytes) -> UInt8[np.ndarray, "H W 4"]:
     """Stored CMYK; Pillow undoes Adobe's inversion."""
     from PIL import Image
 
     try:
-        return np.array(Image.open(io.BytesIO(file_bytes(path)), formats=["JPEG"]))
+        return np.array(Image.open(io.BytesIO(data), formats=["JPEG"]))
     except (OSError, ValueError, SyntaxError) as error:
-        raise damaged(path) from error
+        raise _damaged(path) from error
 
 
 def _converted(stored: np.ndarray, conversion: ColorConversion | ProfileConversion | None) -> np.ndarray:
@@ -154,18 +163,13 @@ def to_8_bits(values: np.ndarray) -> UInt8[np.ndarray, "*S"]:
     return values if values.dtype == np.uint8 else ((values.astype(np.uint32) + 128) // 257).astype(np.uint8)
 
 
-def damaged(path: Path) -> InputError:
+def _damaged(path: Path) -> InputError:
     """The error for a file whose pixels cannot be decoded."""
     return InputError(f"{path}: the image is damaged and cannot be decoded; copy or create the file again")
 
 
-def file_bytes(path: Path) -> bytes:
-    """A file's bytes; PNG chunks must lie within the file, since OpenCV allocates whatever length one claims.
-
-    Raises:
-        InputError: No such file, or a chunk that reaches beyond its end.
-    """
-    image_header(path)
+def _file_bytes(path: Path) -> bytes:
+    """A file's bytes; PNG chunks must lie within the file, since OpenCV allocates whatever length one claims."""
     data = path.read_bytes()
     position = len(PNG_SIGNATURE)
     while data.startswith(PNG_SIGNATURE) and position < len(data):
@@ -174,5 +178,5 @@ def file_bytes(path: Path) -> bytes:
             break
         position += 12 + claimed_length
         if position > len(data):
-            raise damaged(path)
+            raise _damaged(path)
     return data
