@@ -27,7 +27,9 @@ KILLED, SURVIVED, UNDECIDED = "killed", "SURVIVED", "UNDECIDED"
 FAILED, TOO_LONG = 1, -1
 """Exit codes: pytest's for failed tests, and ours for a run beyond the time limit."""
 
-FLAGS = ("-q", "-x", "-p", "no:cacheprovider", "--no-header")
+FLAGS = ("-q", "-x", "-p", "no:cacheprovider", "--no-header", "-o", "addopts=--import-mode=importlib --strict-markers")
+"""Flags of pytest in place of the project's own: without the check of shapes, which would take most of the time, so
+that a fault is noticed by what a test expects."""
 PACKAGES = ("ggavatar", "preprocess", "evaluate", "tests")
 PRELOADED = ("torch._dynamo", "numba", "scipy.spatial.transform", "scipy.special", "skimage.metrics", "cv2")
 """Modules that many tests import; none of ours, and no plugin of pytest."""
