@@ -260,7 +260,7 @@ MUTATIONS = (
     Mutation(
         "scored_on_frames_of_the_training",
         "evaluate/scoring/predict.py",
-        "leaked = sorted(set(frames) & set(run.split.train))",
+        "leaked = sorted(set(chosen.frames) & set(run.split.train))",
         "leaked: list[int] = []",
         (f"{PREDICT}::test_refuses_test_frames_that_were_trained_on",),
     ),
@@ -280,9 +280,9 @@ MUTATIONS = (
     ),
     Mutation(
         "gates_pass_what_falls",
-        "evaluate/gates/checks.py",
-        "change = now.mean - before.mean if metric.higher_is_better else before.mean - now.mean",
-        "change = abs(now.mean - before.mean)",
-        ("tests/evaluate/gates/test_checks.py::test_a_fall_beyond_the_tolerance_fails_and_a_gain_never_does",),
+        "evaluate/gates/regressions.py",
+        "change = now.mean - before if metric_of(name).higher_is_better else before - now.mean",
+        "change = abs(now.mean - before)",
+        ("tests/evaluate/gates/test_regressions.py::test_a_fall_beyond_the_tolerance_fails_and_a_gain_never_does",),
     ),
 )

@@ -11,22 +11,22 @@ MUTATIONS = (
     Mutation(
         "metrical_tracker_size_as_width_and_height",
         "preprocess/formats/importers/metrical_tracker.py",
-        'height, width = frames[0]["size"]',
-        'width, height = frames[0]["size"]',
+        'height, width = frames.stacked("size")[0]',
+        'width, height = frames.stacked("size")[0]',
         (ROUND_TRIP,),
     ),
     Mutation(
         "metrical_tracker_eyes_swapped",
         "preprocess/formats/importers/metrical_tracker.py",
-        "eyes[:6], eyes[6:]",
-        "eyes[6:], eyes[:6]",
+        "(flame.array(_JAW, (6,), (3,)), *eyes)",
+        "(flame.array(_JAW, (6,), (3,)), *eyes[::-1])",
         (f"{TEST}::test_eyes_are_in_joint_order",),
     ),
     Mutation(
         "metrical_tracker_jaw_ignored",
         "preprocess/formats/importers/metrical_tracker.py",
-        "joints[2:] = matrix_to_axis_angle(rotation_6d_to_matrix(rotations)).numpy()",
-        "joints[3:] = matrix_to_axis_angle(rotation_6d_to_matrix(rotations)).numpy()[1:]",
+        "joints[2:] = np.stack([axis_angle_of(row) for row in (flame.array(_JAW, (6,), (3,)), *eyes)])",
+        "joints[3:] = np.stack([axis_angle_of(row) for row in eyes])",
         (ROUND_TRIP,),
     ),
     Mutation(
@@ -94,7 +94,7 @@ MUTATIONS = (
     ),
     Mutation(
         "deca_crop_shifted",
-        "preprocess/formats/importers/deca.py",
+        "preprocess/formats/weak_perspective.py",
         "pose[:3, 3] = [shift_x, -shift_y, FOCAL / (scale * SIDE / 2)]",
         "pose[:3, 3] = [shift_x, shift_y, FOCAL / (scale * SIDE / 2)]",
         (f"{TEST}::test_deca_codes",),
