@@ -20,7 +20,7 @@ from evaluate.scoring.scored_frames import ScoredFrames, choose_frames, ground_t
 from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import write_json
 from ggavatar.training.run_folder import Run
 
 
@@ -74,19 +74,12 @@ def prediction_task(run: Run, protocol: Protocol, rule: str | None = None) -> Pr
         "subject": run.capture.subject,
         "method": run.method,
         "step": run.step,
-        "checkpoint_sha256": _digest(run),
+        "checkpoint_sha256": run.sha256,
         "capture_sha256": run.capture.digest(),
         "split": chosen.split,
         "fps": run.capture.fps,
     }
     return PredictionTask(chosen.frames, truth, identity)
-
-
-def _digest(run: Run) -> str:
-    """SHA-256 of the checkpoint, or of the file opened in place of a run."""
-    if "file_sha256" in run.provenance:
-        return str(run.provenance["file_sha256"])
-    return str(read_json(run.folder / "checkpoints" / f"step-{run.step:09d}.json")["sha256"])
 
 
 def predict_frames(run: Renderable, task: PredictionTask, folder: Path, progress: Progress | None = None) -> Filled:

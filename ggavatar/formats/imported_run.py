@@ -54,5 +54,6 @@ def open_imported_run(
         config=RunConfig(method, str(capture.folder.resolve()), name, WHITE, device=device, backend=backend),
         provenance={"file": str(path), "file_sha256": digest(path)},
         step=0,
+        sha256=digest(path),
         reader=Frames(capture, head, background, device),
     )

@@ -72,6 +72,8 @@ def flame_version(path: Path) -> str:
 
 def is_flame(path: Path) -> bool:
     """Whether a head-model file has FLAME's layout (a pickle, or an npz with `v_template`) rather than ours."""
+    if path.is_dir():
+        return False
     if path.suffix.lower() in (".pkl", ".pickle"):
         return True
     return path.suffix.lower() == ".npz" and "v_template" in read_npz(path, ["v_template"])

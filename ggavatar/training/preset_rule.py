@@ -1,7 +1,7 @@
 """The rule for presets: what a preset of a method may change, so that a row named after a paper is that paper's method.
 
 A preset adapts a method to a short training. It may change lengths, learning rates, budgets and initial values, the
-same for every method. It never changes what is modelled, what the networks see or what is minimized: such a change is a
+same for every method. It never changes what is modeled, what the networks see or what is minimized: such a change is a
 method of its own (`ggavatar_plus`) or a variant, which has its own name in every table.
 """
 

@@ -83,6 +83,7 @@ class Run:
         config: config.json.
         provenance: provenance.json.
         step: Steps trained.
+        sha256: Of the tensors of its checkpoint, or of the file that was opened in place of a run.
         reader: Reads the frames of the capture.
     """
 
@@ -96,6 +97,7 @@ class Run:
     config: RunConfig
     provenance: dict[str, Any]
     step: int
+    sha256: str
     reader: Frames
 
     def frames(self, numbers: Iterable[int]) -> Iterator[Frame]:
@@ -143,6 +145,7 @@ def open_run(
         config=config,
         provenance=_read_run_file(folder / "provenance.json"),
         step=record["step"],
+        sha256=record["sha256"],
         reader=reader,
     )
 

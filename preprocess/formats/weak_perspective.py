@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ggavatar.errors import InputError
+from ggavatar.io.frame_names import frame_numbers
 from preprocess.formats.array_files import array_names
 from preprocess.formats.array_table import Assume
-from preprocess.formats.code_names import frame_names
 from preprocess.formats.frame_set import Frame, FrameSet, read_frames
 from preprocess.formats.json_fields import camera_matrix
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
@@ -46,7 +46,8 @@ def read_codes(
     folder: Path, places: dict[str, Path], read: Callable[[Path, Assume], Frame]
 ) -> tuple[FrameSet, tuple[str, ...]]:
     """The codes of all images, and notes on their names."""
-    names, notes = frame_names(folder, list(places))
+    found = frame_numbers(list(places), folder)
+    names, notes = found.by_number(list(places)), found.notes
     return read_frames(folder, {number: places[name] for number, name in names.items()}, read), notes
 
 

@@ -12,7 +12,7 @@ import torch
 
 from ggavatar.data.capture import HEAD, TRACKING, Tracking
 from ggavatar.errors import InputError
-from ggavatar.head.flame import JOINT_NAMES
+from ggavatar.head.flame import JOINT_NAMES, is_flame
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
@@ -175,16 +175,21 @@ def _head(options: PrepOptions, record: TrackingRecord) -> tuple[HeadModel, list
     """The head model that the tracking's parameters belong to, identity folded in, and notes on the choice."""
     from ggavatar.head.any_head import is_head_file, open_head
 
-    path = _head_path(options)
+    path, version = _head_path(options), record.version
+    if version is not None and version.startswith("flame") and not is_flame(path) and not is_head_file(path):
+        raise InputError(
+            f"{path}: expected {version}, which the tracking's coefficients belong to, found another head model; give "
+            f"the {version} file with --head-model"
+        )
     head = open_head(path, record.shape, max(1, record.expression.shape[1]))
     if is_head_file(path):
         return head, []
     notes = []
-    if record.version is not None and head.version != record.version:
-        if (record.version, head.version) != ("flame2023", "flame2023-open"):
+    if version is not None and head.version != version:
+        if (version, head.version) != ("flame2023", "flame2023-open"):
             raise InputError(
-                f"{path}: expected {record.version}, which the tracking's coefficients belong to, found "
-                f"{head.version}; they are not interchangeable, give the {record.version} file with --head-model"
+                f"{path}: expected {version}, which the tracking's coefficients belong to, found {head.version}; they "
+                f"are not interchangeable, give the {version} file with --head-model"
             )
         notes.append(
             "the head model is FLAME 2023 Open: right only if the video was tracked with it, which no file says"

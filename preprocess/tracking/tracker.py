@@ -17,6 +17,7 @@ from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
 from ggavatar.landmarks.networks import FaceNetworkFiles
 from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from ggavatar.pretrained.catalogue import MEDIAPIPE
+from ggavatar.pretrained.resolve import resolve_with_substitutes
 from preprocess.evidence.clip_faces import ClipFaces
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.tracking.face.clip_fit import CameraEstimate, ClipFit, estimate_camera, fit_face, reprojection_errors

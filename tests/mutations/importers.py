@@ -18,8 +18,8 @@ MUTATIONS = (
     Mutation(
         "metrical_tracker_eyes_swapped",
         "preprocess/formats/importers/metrical_tracker.py",
-        "(6,), (3,)), *eyes)])",
-        "(6,), (3,)), *eyes[::-1])])",
+        "(flame.array(_JAW, (6,), (3,)), *eyes)",
+        "(flame.array(_JAW, (6,), (3,)), *eyes[::-1])",
         (f"{TEST}::test_eyes_are_in_joint_order",),
     ),
     Mutation(

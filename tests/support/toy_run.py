@@ -115,12 +115,11 @@ def write_capture(folder: Path, seed: int = 0, version: str = "toy-1") -> Captur
 def toy_run(folder: Path) -> Run:
     """A run in `folder/run` with its capture in `folder/capture`."""
     capture = write_capture(folder / "capture")
-    (folder / "run" / "checkpoints").mkdir(parents=True)
-    (folder / "run" / "checkpoints" / "step-000000007.json").write_text('{"sha256": "00"}')
+    (folder / "run").mkdir(parents=True)
     white = torch.ones(3)
     return Run(
         folder=folder / "run", method="toy", avatar=ToyAvatar(head()), capture=capture,
         split=capture.splits["every-20th"], background=white, rasterize=rasterize,
-        config=RunConfig("toy", str(capture.folder)), provenance={}, step=7,
+        config=RunConfig("toy", str(capture.folder)), provenance={}, step=7, sha256="00",
         reader=Frames(capture, head(), white, "cpu"),
     )  # fmt: skip

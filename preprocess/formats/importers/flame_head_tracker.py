@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ggavatar.errors import InputError
+from ggavatar.io.frame_names import frame_numbers
 from ggavatar.io.npz import write_npz
 from preprocess.formats.array_files import read_arrays
 from preprocess.formats.array_table import ArrayTable, Assume
-from preprocess.formats.code_names import frame_names
 from preprocess.formats.frame_set import Frame, read_frames
 from preprocess.formats.json_fields import camera_matrix, invert_pose
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
@@ -45,7 +45,8 @@ def read(folder: Path) -> TrackingRecord:
     places = code_places(folder, _NEEDED) or code_places(folder, frozenset({"cam"}))
     if not places:
         raise InputError(f"{folder}: expected {TITLE}; give the folder that flame-head-tracker saved")
-    names, notes = frame_names(folder, list(places))
+    found = frame_numbers(list(places), folder)
+    names, notes = found.by_number(list(places)), found.notes
     frames = read_frames(folder, {number: places[name] for number, name in names.items()}, _read_frame)
     shapes = frames.stacked("shape")
     record = TrackingRecord(

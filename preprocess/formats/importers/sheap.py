@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ggavatar.errors import InputError
+from ggavatar.io.frame_names import frame_numbers
 from ggavatar.io.npz import write_npz
 from preprocess.formats.array_files import array_names, read_arrays
 from preprocess.formats.array_table import ArrayTable, Assume
-from preprocess.formats.code_names import frame_names
 from preprocess.formats.frame_set import Frame, FrameSet, read_frames, read_rows
 from preprocess.formats.json_fields import camera_matrix
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
@@ -74,7 +74,8 @@ def _frames(path: Path) -> tuple[FrameSet, tuple[str, ...]]:
         places = code_places(path, _NEEDED) or code_places(path, frozenset({"cam_trans"}))
         if not places:
             raise InputError(f"{path}: expected {TITLE}; save the dictionary `predictions` of SHeaP's demo")
-        names, notes = frame_names(path, list(places))
+        found = frame_numbers(list(places), path)
+        names, notes = found.by_number(list(places)), found.notes
         return read_frames(path, {number: places[name] for number, name in names.items()}, _single), notes
     values = read_arrays(path, _KEYS)
     lengths = {len(value) for value in values.values() if isinstance(value, np.ndarray) and value.ndim == 2}

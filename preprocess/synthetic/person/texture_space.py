@@ -30,7 +30,7 @@ class Texels:
     face: Int[ndarray, " N"]
     points: Float[ndarray, "N 3"]
 
-    def image(self, values: Float[ndarray, "N *C"]) -> Float[ndarray, "R R *C"]:
+    def image(self, values: Float[ndarray, "N *C"]) -> Float[ndarray, "R R *C"]:  # noqa: F821 - names of axes
         """Values of the texels as a texture; other texels take the nearest value."""
         canvas = np.zeros((self.size, self.size, *values.shape[1:]), np.float32)
         canvas[self.rows, self.columns] = values

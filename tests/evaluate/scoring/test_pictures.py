@@ -168,7 +168,8 @@ def test_a_changed_picture_is_scored_again_and_a_changed_copy_restored(run: Run,
     write_png(pictures / "000010.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
     second, _ = score(options)
     assert second.values["psnr"][0] < first.values["psnr"][0] and second.values["psnr"][1] == first.values["psnr"][1]
-    shutil.move(pictures / "000010.png", pictures / "frame-10.png")
+    for path in sorted(pictures.glob("*.png")):
+        shutil.move(path, path.with_name(f"frame-{int(path.stem)}.png"))
     assert score(options)[0] == second
 
 

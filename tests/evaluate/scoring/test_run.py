@@ -76,8 +76,7 @@ def test_another_checkpoint_replaces_the_images_and_nothing_else(run: Run, monke
     first, _ = evaluate_run(run.folder, OPTIONS, silent)
     home = run.folder / "eval" / first.protocol.id
     (home / "mine.txt").write_text("keep")
-    (run.folder / "checkpoints" / "step-000000008.json").write_text('{"sha256": "01"}')
-    trained = dataclasses.replace(run, step=8)
+    trained = dataclasses.replace(run, step=8, sha256="01")
     with torch.no_grad():
         trained.avatar.colors.fill_(0.5)
     monkeypatch.setattr(run_evaluation, "open_run", lambda folder, device: trained)

@@ -14,6 +14,7 @@ from evaluate.scoring.run import evaluate_run
 from ggavatar.data.capture import Capture
 from ggavatar.training import registry
 from ggavatar.training.session import train_run
+from tests.support.silent_reporter import SilentReporter
 
 PAGE = Path(__file__).parents[3] / "docs" / "adding-a-method.md"
 
@@ -41,7 +42,7 @@ def test_it_trains_and_is_measured(method_of_the_page: str, toy_capture: Capture
         "variant": {"method": f"{method_of_the_page}_without_dssim"},
     }.items():
         train_run(toy_capture.folder, tmp_path / name, {**options, **further}, quiet=True)
-        found, _ = evaluate_run(tmp_path / name, Options(no_learned=True, quiet=True, device="cpu"), lambda title: None)
+        found, _ = evaluate_run(tmp_path / name, Options(no_learned=True, quiet=True, device="cpu"), SilentReporter())
         scores[name] = sum(found.values["psnr"]) / len(found.frames)
     assert scores["sixty"] > scores["one step"] + 1.5
     assert scores["variant"] != scores["sixty"]

@@ -14,7 +14,7 @@ METHODS = sorted({registry.load(name).module.__name__.rpartition(".")[2] for nam
 PRESETS = ("default", "fast", "paper")
 
 NEVER = ("pose_on", "condition", "alpha_weight", "region_weight", "perceptual_weight", "color_unit", "normals")
-"""Fields that decide what is modelled, seen or minimized; each was in a preset once."""
+"""Fields that decide what is modeled, seen or minimized; each was in a preset once."""
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -2,8 +2,7 @@
 
 Reference: the projection of DECA's family, s (X + tx) and −s (Y + ty) in halves of the 224 px crop. Also covers
 `preprocess/formats/importers/deca.py`, `preprocess/formats/importers/emica.py`,
-`preprocess/formats/importers/smirk.py`, `preprocess/formats/weak_perspective.py`, `preprocess/formats/array_files.py`,
-`preprocess/formats/code_names.py`.
+`preprocess/formats/importers/smirk.py`, `preprocess/formats/weak_perspective.py`, `preprocess/formats/array_files.py`.
 """
 
 from __future__ import annotations
@@ -67,7 +66,8 @@ def test_of_several_faces_the_first_is_taken(tmp_path):
     for number, face in ((0, 0), (0, 1), (1, 1), (2, 0)):
         emoca_folder(tmp_path / f"{number:06d}_{face:03d}", 10 * number + face)
     found = deca.read(tmp_path)
-    assert found.expression[:, 0].tolist() == [0, 11, 20] and "1 others" in found.notes[0]
+    assert found.expression[:, 0].tolist() == [0, 20] and list(found.numbers) == [0, 2]
+    assert "0 is used" in found.notes[0]
 
 
 @pytest.mark.parametrize("fault", ["object", "missing", "scale", "text", "identity"])
