@@ -357,6 +357,13 @@ BASELINES = (
         "flash_iterations_of_ggavatar", FLASH, "PAPER_ITERATIONS = 150_000", "PAPER_ITERATIONS = 120_000", (PERCEPTUAL,)
     ),
     Mutation(
+        "flash_texels_everywhere",
+        FLASH,
+        "FLAME_COVERAGE = 14_734 / 128**2",
+        "FLAME_COVERAGE = 1.0",
+        (f"{TESTS}/test_flash_avatar.py::test_number_of_texels_and_the_limit",),
+    ),
+    Mutation(
         "flash_outputs_not_bounded",
         FLASH,
         "offsets = self.network(self._encoding(), self._condition(drive)).tanh()",
