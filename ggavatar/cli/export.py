@@ -92,6 +92,7 @@ def _export(arguments: Arguments) -> int:
     if kind not in known:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
+    _check_suffix(arguments)
     if kind == SUBMISSION:
         lines = _export_submission(arguments)
     elif is_gaussian_file(arguments.source):
@@ -100,6 +101,19 @@ def _export(arguments: Arguments) -> int:
         lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
+
+
+def _check_suffix(arguments: Arguments) -> None:
+    """Refuse a name of --output that says another format than the one written; several poses go into a folder."""
+    kind, output = arguments.kind, arguments.output
+    if kind not in SPLAT_FORMATS or output is None or not output.suffix or len(arguments.frame) > 1:
+        return
+    meant = SUFFIXES.get(output.suffix.lower())
+    if meant == kind or (arguments.format and meant is None):
+        return
+    can = ", ".join(f".{name}" for name in SPLAT_FORMATS)
+    found = f"--format {arguments.format}" if arguments.format else "a suffix that cannot be written"
+    raise InputError(f"-o {output}: expected a file name with the suffix of its format ({can}), found {found}")
 
 
 def _export_file(arguments: Arguments) -> list[str]:

@@ -27,9 +27,9 @@ def convert(
         InputError: The source cannot be read, is bound to a head and the format cannot say so, or the output exists
             and must not be replaced.
     """
-    check_output_file(path, overwrite)
     if path.exists() and path.samefile(source):
         raise InputError(f"{path}: expected another file than the source; choose one with -o")
+    check_output_file(path, overwrite)
     rows = read_gaussians(source, options)
     if rows.faces is not None and kind != "ply":
         raise InputError(

@@ -224,3 +224,20 @@ def test_heads_without_flame_joints_are_refused(run_folder: Path, tmp_path: Path
     other = dataclasses.replace(head, joint_names=("root", "chin", "neck", "left_eye", "right_eye"))
     with pytest.raises(InputError, match="FLAME's joints"):
         exporting.export_bound(run, other, neutral_drive(run, head).drive, tmp_path / "x", False)
+
+
+@pytest.mark.parametrize(
+    ("name", "format_flags", "found"),
+    [
+        ("b.sog", (), "a suffix that cannot be written"),
+        ("b.xyz", (), "a suffix that cannot be written"),
+        ("b.glb", ("--format", "spz"), "found --format spz"),
+    ],
+)
+def test_a_name_that_says_another_format_is_refused(
+    run_folder: Path, tmp_path: Path, name: str, format_flags: tuple[str, ...], found: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    assert export(run_folder, "-o", tmp_path / name, *format_flags) == 2
+    assert found in capsys.readouterr().err and not (tmp_path / name).exists()
+    assert export(run_folder, "-o", tmp_path / "b.bin", "--format", "ply") == 0

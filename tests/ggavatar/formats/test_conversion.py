@@ -86,7 +86,7 @@ def test_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = bound(tmp_path / "bound.ply")
     assert rows.faces is not None and rows.notes == (), "scales in triangles may be positive logarithms"
     cases = [
-        ((tmp_path / "a.ply",), "--overwrite"),
+        ((tmp_path / "a.ply",), "another file than the source"),
         ((tmp_path / "a.ply", "--overwrite"), "another file than the source"),
         ((tmp_path / "a.ply", "--frame", 3), "without --neutral, --frame"),
         ((tmp_path / "a.ply", "--format", "gaussian-avatars"), "is written as ply, splat, spz, glb"),

@@ -155,8 +155,8 @@ def test_hdr_with_a_stated_peak(tmp_path):
     """MaxCLL of 203 cd/m²: nothing is compressed; reference white becomes white."""
     signal = np.full((64, 64, 3), pq_signal(203))
     options = {"x265-params": "log-level=none:hdr10=1:max-cll=203,100:lossless=1"}
-    hdr_video(tmp_path / "v.mp4", signal, 16, "libx265", options)
-    found, said = first(tmp_path / "v.mp4")
+    hdr_video(tmp_path / "v.mkv", signal, 16, "libx265", options)
+    found, said = first(tmp_path / "v.mkv")
     assert found.min() >= 253 and "peak 203" in said[0]
 
 
