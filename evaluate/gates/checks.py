@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from evaluate.gates.baselines import label_of
 from evaluate.gates.tolerances import check_metric, finite
+from evaluate.metrics.catalogue import METRICS
 from evaluate.protocols.results import Evaluation
 from ggavatar.errors import InputError
 
@@ -30,8 +31,13 @@ class Check:
 def parse_limits(texts: Sequence[str], flag: str) -> dict[str, float]:
     """Numbers by metric from texts such as `psnr=30`.
 
+    Args:
+        texts: METRIC=NUMBER.
+        flag: `--fail-below`, for metrics of which higher is better, or `--fail-above`, for the others.
+
     Raises:
-        InputError: Not METRIC=NUMBER, or an unknown metric; the message suggests the nearest name.
+        InputError: Not METRIC=NUMBER, or an unknown metric; the message suggests the nearest name. Or a limit that the
+            best results would miss; the message names the other flag.
     """
     limits = {}
     for text in texts:
@@ -40,7 +46,18 @@ def parse_limits(texts: Sequence[str], flag: str) -> dict[str, float]:
         if math.isnan(limits[name]):
             raise InputError(f"{flag}: expected METRIC=NUMBER such as psnr=30, found {text!r}")
         check_metric(name, flag)
+        _check_direction(name, number, flag)
     return limits
+
+
+def _check_direction(name: str, number: str, flag: str) -> None:
+    """Raise `InputError` if a metric is limited from its good side."""
+    base = name.partition("@")[0]
+    higher = next(metric for metric in METRICS.values() if metric.name.startswith(base)).higher_is_better
+    right = "--fail-below" if higher else "--fail-above"
+    if flag != right:
+        word = "higher" if higher else "lower"
+        raise InputError(f"{flag}: {name} is {word}-is-better, found {name}={number}; use {right} {name}={number}")
 
 
 def full_metric_name(name: str, evaluation: Evaluation) -> str:
