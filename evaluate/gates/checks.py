@@ -21,11 +21,13 @@ class Check:
         case: Subject, method and metric.
         passed: Whether the limit holds.
         message: The value, the limit and the margin between them.
+        rule: What the metric is held against, such as `floor`: one metric can have several checks.
     """
 
     case: str
     passed: bool
     message: str
+    rule: str = ""
 
 
 def parse_limits(texts: Sequence[str], flag: str) -> dict[str, float]:
@@ -87,11 +89,11 @@ def check_limits(
 def _against_limit(evaluation: Evaluation, name: str, limit: float, sign: int) -> Check:
     case = f"{label_of(evaluation.subject, evaluation.method, evaluation.seed)}/{name}"
     found = evaluation.summary(name)
+    word = "floor" if sign > 0 else "ceiling"
     if found.mean is None:
         if found.identical and sign > 0:
-            return Check(case, True, f"{name} of identical images, required {limit:g}")
-        return Check(case, False, f"{name} was not measured ({evaluation.missing.get(name, 'no value')})")
+            return Check(case, True, f"{name} of identical images, required {limit:g}", word)
+        return Check(case, False, f"{name} was not measured ({evaluation.missing.get(name, 'no value')})", word)
     margin = sign * (found.mean - limit)
-    word = "floor" if sign > 0 else "ceiling"
     state = "holds by" if margin >= 0 else "is missed by"
-    return Check(case, margin >= 0, f"{name} is {found.mean:.6g}, the {word} {limit:g} {state} {abs(margin):.6g}")
+    return Check(case, margin >= 0, f"{name} is {found.mean:.6g}, the {word} {limit:g} {state} {abs(margin):.6g}", word)

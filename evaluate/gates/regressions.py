@@ -11,6 +11,8 @@ from evaluate.metrics.catalogue import metric_of
 from evaluate.protocols.results import Evaluation
 from ggavatar.errors import InputError
 
+RULE = "against baseline"
+
 
 def compare_with_baselines(
     evaluations: Sequence[Evaluation],
@@ -96,11 +98,11 @@ def _against_baseline(new: Evaluation, old: Baseline, name: str, limits: Mapping
     before, now = old.means[name], new.summary(name)
     if now.mean is None:
         reason = new.missing.get(name, "no value")
-        return Check(case, now.identical > 0, f"{name} was {before} and is not measured now ({reason}){remark}")
+        return Check(case, now.identical > 0, f"{name} was {before} and is not measured now ({reason}){remark}", RULE)
     if before is None:
-        return Check(case, False, f"{name} was infinite (identical images) and is {now.mean:.6g}{remark}")
+        return Check(case, False, f"{name} was infinite (identical images) and is {now.mean:.6g}{remark}", RULE)
     tolerance = tolerance_of(name, limits)
     change = now.mean - before if metric_of(name).higher_is_better else before - now.mean
     state = f"worse by {-change:.6g}" if change < 0 else f"better by {change:.6g}"
     words = f"{name} was {before:.6g} and is {now.mean:.6g}: {state}, {tolerance.words(before)}{remark}"
-    return Check(case, change >= -tolerance.allowed(before), words)
+    return Check(case, change >= -tolerance.allowed(before), words, RULE)
