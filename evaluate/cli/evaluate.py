@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from evaluate.gates.baselines import write_baseline
+from evaluate.gates.baselines import label_of, write_baseline
 from evaluate.gates.checks import Check
 from evaluate.gates.limits import read_limits
 from evaluate.gates.reports import append_step_summary, to_github, write_junit
@@ -22,6 +22,7 @@ from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.protocols.setup import Setup
+from evaluate.scoring.accumulator import flat_notes
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
@@ -47,6 +48,7 @@ def _evaluate(options: Options) -> int:
     limits = read_limits(options.gates)
     evaluated, written = _collect(options)
     evaluations = [one.evaluation for one in evaluated]
+    _warn_of_flat(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options)
     written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
@@ -71,6 +73,13 @@ def _evaluate(options: Options) -> int:
         for path in written:
             console.print(f"wrote {path}", markup=False, highlight=False)
     return _finish(options, evaluations, written, checks)
+
+
+def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
+    """One line on stderr for every evaluation with predictions of one color, even with --quiet."""
+    for one in evaluations:
+        for note in flat_notes(one):
+            sys.stderr.write(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}\n")
 
 
 def _result_files(evaluated: Sequence[Evaluated], labels: bool, folder: Path) -> list[Path]:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from evaluate.cli.evaluate import main
@@ -135,6 +136,22 @@ def test_gates_end_with_code_3_and_say_what_failed(tmp_path: Path, capsys: pytes
     assert score(tmp_path, "--compare", str(kept), "--allow-other", "ground-truth") == 3
 
 
+@pytest.mark.parametrize("color", [0, 128, 255])
+def test_flat_predictions_are_named_also_when_stored_scores_are_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], color: int
+) -> None:
+    predictions, _ = write_folders(tmp_path, [1, 2, 3])
+    assert score(tmp_path) == 0
+    assert "flat" not in capsys.readouterr().err
+    for frame in (1, 3):
+        write(predictions / f"frame_{frame:04d}.png", np.full((48, 64, 3), color, np.uint8))
+    assert score(tmp_path) == 0
+    line = "warning: Anna/ours: the prediction is one flat color in 2 frames (1, 3)\n"
+    assert capsys.readouterr().err == line
+    assert main([str(tmp_path / "ours"), "-o", str(tmp_path / "table"), "--no-report", "--quiet"]) == 0
+    assert capsys.readouterr().err == line
+
+
 def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predictions, _ = write_folders(tmp_path, [1, 2])
     assert score(tmp_path, method="one") == 0
@@ -167,8 +184,6 @@ def test_without_runs_the_papers_tables_stand_alone(tmp_path: Path, capsys: pyte
 
 
 def test_masks_and_region_masks_become_columns(tmp_path: Path) -> None:
-    import numpy as np
-
     write_folders(tmp_path, [1])
     write(tmp_path / "masks" / "1.png", np.pad(np.full((20, 20), 255, np.uint8), ((10, 18), (10, 34))))
     write(tmp_path / "parts" / "face" / "1.png", np.full((48, 64), 255, np.uint8))
