@@ -26,6 +26,7 @@ from evaluate.scoring.accumulator import flat_notes
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
+from evaluate.tables.paper_aligned import parse_paper_subjects
 from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
@@ -46,11 +47,12 @@ def _evaluate(options: Options) -> int:
     """Score the given runs or folders, write and print tables and figures, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = read_limits(options.gates)
+    _check_paper_subjects(options)
     evaluated, written = _collect(options)
     evaluations = [one.evaluation for one in evaluated]
     _warn_of_flat(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
-    folder = _table_folder(options)
+    folder = _table_folder(options, evaluated)
     written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
     if not options.no_report:
         written += _write_figures(options, evaluated, folder)
@@ -73,6 +75,14 @@ def _evaluate(options: Options) -> int:
         for path in written:
             console.print(f"wrote {path}", markup=False, highlight=False)
     return _finish(options, evaluations, written, checks)
+
+
+def _check_paper_subjects(options: Options) -> None:
+    """Raise `InputError` for a subject that will not be in the table, before anything is rendered."""
+    if options.paper_subjects:
+        from evaluate.scoring.subjects import subjects_of
+
+        parse_paper_subjects(options.paper_subjects, subjects_of(options))
 
 
 def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
@@ -236,10 +246,12 @@ def _write_figures(options: Options, evaluated: Sequence[Evaluated], folder: Pat
     return written + write_comparisons([images for _, images in found], folder)
 
 
-def _table_folder(options: Options) -> Path:
+def _table_folder(options: Options, evaluated: Sequence[Evaluated] = ()) -> Path:
     """Output folder of the tables: that of the options, beside a single result, or `evaluation/`."""
     if options.output:
         return options.output
+    if options.folders.pred and not options.folders.gt:
+        return evaluated[0].results.parent  # PRED-evaluation/ has the tables of --gt
     if options.folders.pred:
         return options.folders.pred.resolve().parent / f"{options.folders.pred.resolve().name}-evaluation"
     if len(options.runs) == 1 and not options.folders.pred_as:

@@ -14,6 +14,7 @@ import pytest
 from evaluate.cli.evaluate import main
 from evaluate.options import parse
 from tests.support.image_pairs import pair, write, write_folders
+from tests.support.toy_run import HEIGHT, WIDTH, write_capture
 
 PLAIN = ["--no-report", "--quiet", "--metrics", "psnr", "ssim"]
 
@@ -45,6 +46,21 @@ def test_the_paths_written_are_the_last_lines(tmp_path: Path, capsys: pytest.Cap
     folders = ["--pred", str(tmp_path / "pred"), "--gt", str(tmp_path / "gt")]
     assert main([*folders, "--no-report", "--metrics", "psnr", "--table"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"wrote {tmp_path / 'pred-evaluation' / 'table.json'}"
+
+
+def test_pictures_against_a_folder_and_against_a_capture_do_not_overwrite_each_other(tmp_path: Path) -> None:
+    capture = write_capture(tmp_path / "capture")
+    _, truth = write_folders(tmp_path, [10, 15], HEIGHT, WIDTH)
+    common = ["--pred", str(tmp_path / "pred"), "--no-report", "--quiet", "--no-lpips", "--metrics", "psnr"]
+    tables = {}
+    for flags in (["--gt", str(truth)], ["--capture", str(capture.folder), "--regions", "foreground"]):
+        assert main([*common, *flags]) == 0
+        tables[flags[0]] = {path for path in (tmp_path / "pred-evaluation").rglob("table.*")}
+        tables[flags[0], "text"] = (tmp_path / "pred-evaluation" / "table.json").read_text()
+    assert len(tables["--gt"]) == 5 and len(tables["--capture"]) == 10
+    assert tables["--gt", "text"] == tables["--capture", "text"]
+    (beside,) = {path.parent for path in tables["--capture"] - tables["--gt"]}
+    assert (beside / "metrics.json").is_file()
 
 
 def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
