@@ -32,7 +32,7 @@ def test_every_fault_can_be_planted_and_has_tests(mutation: Mutation) -> None:
     ast.parse(planted)
     assert mutation.tests
     for test in mutation.tests:
-        file, _, name = test.partition("::")
+        file, _, name = test.partition("[")[0].partition("::")
         assert (ROOT / file).is_file() and (not name or name in names_of_tests(file)), test
 
 

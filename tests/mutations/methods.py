@@ -131,7 +131,7 @@ GGAVATAR = (
         OURS,
         'if self.config.pose_on == "neck":\n            vertices',
         "if False:\n            vertices",
-        (TORSO,),
+        (f"{TORSO}[ggavatar]",),
     ),
     Mutation(
         "torso_turns_in_the_neutral_phase",
@@ -145,7 +145,7 @@ GGAVATAR = (
         OURS,
         "torch.cat((face, self.poses.condition(drive)))",
         "torch.cat((face, self.poses.condition(drive) / 4))",
-        (POSE,),
+        (f"{POSE}[ggavatar]",),
     ),
     Mutation(
         "color_rows_in_coefficients",
@@ -208,7 +208,7 @@ GGAVATAR = (
         OURS,
         '    if config.first_colors == "frames":\n',
         "    if False:\n",
-        (COLORS,),
+        (f"{COLORS}[ggavatar]",),
     ),
     Mutation(
         "step_count_stands_still",
@@ -264,14 +264,14 @@ GGAVATAR = (
         PLUS,
         'pose_on="neck" if config.torso else "camera"',
         'pose_on="camera"',
-        (TORSO,),
+        (f"{TORSO}[ggavatar_plus]",),
     ),
     Mutation(
         "plus_does_not_see_the_pose",
         PLUS,
         'condition="face_and_pose" if config.pose_condition else "face"',
         'condition="face"',
-        (POSE,),
+        (f"{POSE}[ggavatar_plus]",),
     ),
     Mutation(
         "regions_about_the_whole_head",
@@ -319,7 +319,7 @@ BASELINES = (
         AVATARS,
         'if self.config.pose_on == "neck":',
         "if False:",
-        (TORSO,),
+        (f"{TORSO}[gaussian_avatars]",),
     ),
     Mutation(
         "baseline_corrections_unused",
@@ -357,6 +357,13 @@ BASELINES = (
         "flash_iterations_of_ggavatar", FLASH, "PAPER_ITERATIONS = 150_000", "PAPER_ITERATIONS = 120_000", (PERCEPTUAL,)
     ),
     Mutation(
+        "flash_texels_everywhere",
+        FLASH,
+        "FLAME_COVERAGE = 14_734 / 128**2",
+        "FLAME_COVERAGE = 1.0",
+        (f"{TESTS}/test_flash_avatar.py::test_number_of_texels_and_the_limit",),
+    ),
+    Mutation(
         "flash_outputs_not_bounded",
         FLASH,
         "offsets = self.network(self._encoding(), self._condition(drive)).tanh()",
@@ -389,21 +396,21 @@ BASELINES = (
         FLASH,
         'if self.config.pose_on == "neck":',
         "if False:",
-        (TORSO,),
+        (f"{TORSO}[flash_avatar]",),
     ),
     Mutation(
         "flash_pose_condition_zero",
         FLASH,
         "torch.cat((face, self.poses.condition(drive)))",
         "torch.cat((face, 0 * self.poses.condition(drive)))",
-        (POSE,),
+        (f"{POSE}[flash_avatar]",),
     ),
     Mutation(
         "flash_starts_gray",
         FLASH,
         '    if config.first_colors == "frames":\n',
         "    if False:\n",
-        (COLORS,),
+        (f"{COLORS}[flash_avatar]",),
     ),
     Mutation(
         "blendshapes_coverage_a_tenth",
@@ -445,7 +452,7 @@ BASELINES = (
         BLENDSHAPES,
         'if self.config.pose_on == "camera" or not self.poses.in_camera:',
         "if True:",
-        (TORSO,),
+        (f"{TORSO}[gaussian_blendshapes]",),
     ),
     Mutation(
         "blendshapes_coefficients_without_their_spread",

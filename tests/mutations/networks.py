@@ -250,6 +250,13 @@ MUTATIONS = (
         (f"{CLOUD}::test_targets_are_those_of_the_nearest_vertex",),
     ),
     Mutation(
+        "softplus_ten_times_softer",
+        "ggavatar/points/layers.py",
+        "SHARPNESS = 100.0",
+        "SHARPNESS = 10.0",
+        ("tests/ggavatar/points/test_canonical.py",),
+    ),
+    Mutation(
         "albedo_ten_times_softer",
         "ggavatar/points/canonical.py",
         "ALBEDO_SHARPNESS = 10.0",

@@ -24,7 +24,6 @@ from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
 from ggavatar.losses.terms import huber
 from ggavatar.methods.flash_avatar import (
-    FLAME_COVERAGE,
     PAPER_ITERATIONS,
     Config,
     FlashAvatar,
@@ -212,7 +211,7 @@ def test_rates_and_moments_are_the_codes(avatar: FlashAvatar) -> None:
 
 def test_number_of_texels_and_the_limit(scene: Scene, toy_head: HeadModel) -> None:
     roomy = dataclasses.replace(scene, max_gaussians=100_000)
-    assert len(build(Config(texels=32), roomy).rows) == round(32**2 * FLAME_COVERAGE)
+    assert len(build(Config(texels=32), roomy).rows) == round(32**2 * 14_734 / 128**2)
     uv = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]).expand(len(toy_head.faces), 3, 2)
     laid = dataclasses.replace(roomy, head=dataclasses.replace(toy_head, uv=uv))
     own = build(Config(texels=32, layout="head"), laid)

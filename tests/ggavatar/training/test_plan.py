@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
+from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.training.plan import TrainingPlan, preset
 from ggavatar.training.trainer import step_with_rate_factor
@@ -21,7 +21,7 @@ def test_position_rate_reaches_a_hundredth_at_half() -> None:
 
 
 def test_constants_scale_with_the_length() -> None:
-    assert [scaled(5_000, steps) for steps in (PAPER_STEPS, 12_000, 1_200)] == [5_000, 500, 50]
+    assert [scaled(5_000, steps) for steps in (120_000, 12_000, 1_200)] == [5_000, 500, 50]
 
 
 def test_coarse_to_fine_in_thirds() -> None:

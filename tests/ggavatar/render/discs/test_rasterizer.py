@@ -16,7 +16,7 @@ from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.render.cpu.rasterizer import rasterize as rasterize_gaussians
 from ggavatar.render.discs import rasterizer, reference
-from ggavatar.render.discs.values import NEAREST, DiscRendering, Discs, radius_in_pixels, similar_scale
+from ggavatar.render.discs.values import DiscRendering, Discs, radius_in_pixels, similar_scale
 from ggavatar.training import registry
 from tests.support.render_scenes import random_camera
 
@@ -89,7 +89,7 @@ def test_only_the_ten_nearest_discs_show(rasterize: Rasterizer) -> None:
     colors = torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
     drawn = rasterize(made(means, colors, radius=1.0), camera, torch.zeros(3))
     alpha, light, expected = 1 - 0.8**2 / 1.5**2, 1.0, torch.zeros(3)
-    for number in range(count - 1, count - 1 - NEAREST, -1):
+    for number in range(count - 1, count - 1 - 10, -1):
         expected, light = expected + light * alpha * colors[number], light * (1 - alpha)
     assert torch.allclose(drawn.image[1, 1], expected, atol=1e-6)
     assert torch.allclose(drawn.alpha[1, 1], torch.tensor([1 - light]), atol=1e-6) and light > 1e-6
