@@ -99,6 +99,12 @@ def test_what_skipped_stages_assumed_is_said_again(clip, tmp_path, capsys):
         assert text.count(": unchanged") == unchanged and messages(text) == first
 
 
+@pytest.mark.parametrize("flags", [("--tracker.focal", "900"), ("--tracker.no-smooth",)])
+def test_options_that_an_imported_tracking_ignores_are_refused(clip, tmp_path, capsys, flags):
+    assert run(clip, tmp_path / "c", *flags) == 2
+    assert "leave it out" in said(capsys) and not (tmp_path / "c").exists()
+
+
 def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
     """Killed in the middle of each stage: no capture is left that opens, and --resume finishes it."""
     from preprocess.pipeline import crop_stage, mask_stage, pipeline
