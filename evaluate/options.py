@@ -115,8 +115,9 @@ class Options:
     override: tyro.conf.OmitArgPrefixes[Override] = Override()
     gates: tyro.conf.OmitArgPrefixes[Gates] = Gates()
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o", "--output-dir"])] = None
-    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, or PRED-evaluation/.
-    The scores of pictures are written below it too; without it, beside the pictures in PRED-evaluation/eval/."""
+    """Output folder of the tables; by default the run's folder, evaluation/ for several runs, PRED-evaluation/ for
+    --pred with --gt, PRED-evaluation/eval/PROTOCOL-ID/ for --pred with --capture. The scores of pictures are
+    written below it too; without it, beside the pictures in PRED-evaluation/eval/."""
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False

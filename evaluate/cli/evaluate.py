@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.console import Console
 
-from evaluate.gates.baselines import write_baseline
+from evaluate.gates.baselines import label_of, write_baseline
 from evaluate.gates.checks import Check
 from evaluate.gates.limits import read_limits
 from evaluate.gates.reports import append_step_summary, to_github, write_junit
@@ -22,9 +22,11 @@ from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.protocols.setup import Setup
+from evaluate.scoring.accumulator import flat_notes
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
+from evaluate.tables.paper_aligned import parse_paper_subjects
 from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
@@ -45,10 +47,12 @@ def _evaluate(options: Options) -> int:
     """Score the given runs or folders, write and print tables and figures, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = read_limits(options.gates)
+    _check_paper_subjects(options)
     evaluated, written = _collect(options)
     evaluations = [one.evaluation for one in evaluated]
+    _warn_of_flat(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
-    folder = _table_folder(options)
+    folder = _table_folder(options, evaluated)
     written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
     if not options.no_report:
         written += _write_figures(options, evaluated, folder)
@@ -71,6 +75,21 @@ def _evaluate(options: Options) -> int:
         for path in written:
             console.print(f"wrote {path}", markup=False, highlight=False)
     return _finish(options, evaluations, written, checks)
+
+
+def _check_paper_subjects(options: Options) -> None:
+    """Raise `InputError` for a subject that will not be in the table, before anything is rendered."""
+    if options.paper_subjects:
+        from evaluate.scoring.subjects import subjects_of
+
+        parse_paper_subjects(options.paper_subjects, subjects_of(options))
+
+
+def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
+    """One line on stderr for every evaluation with predictions of one color, even with --quiet."""
+    for one in evaluations:
+        for note in flat_notes(one):
+            sys.stderr.write(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}\n")
 
 
 def _result_files(evaluated: Sequence[Evaluated], labels: bool, folder: Path) -> list[Path]:
@@ -227,10 +246,12 @@ def _write_figures(options: Options, evaluated: Sequence[Evaluated], folder: Pat
     return written + write_comparisons([images for _, images in found], folder)
 
 
-def _table_folder(options: Options) -> Path:
+def _table_folder(options: Options, evaluated: Sequence[Evaluated] = ()) -> Path:
     """Output folder of the tables: that of the options, beside a single result, or `evaluation/`."""
     if options.output:
         return options.output
+    if options.folders.pred and not options.folders.gt:
+        return evaluated[0].results.parent  # PRED-evaluation/ has the tables of --gt
     if options.folders.pred:
         return options.folders.pred.resolve().parent / f"{options.folders.pred.resolve().name}-evaluation"
     if len(options.runs) == 1 and not options.folders.pred_as:

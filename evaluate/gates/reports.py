@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,14 +16,18 @@ SUMMARY_VARIABLE = "GITHUB_STEP_SUMMARY"
 
 
 def to_junit(checks: Sequence[Check]) -> str:
-    """Checks as JUnit XML, one test case per check."""
+    """Checks as JUnit XML, one test case per check; no two share class and name, since CI servers merge those."""
     failures = sum(not check.passed for check in checks)
     root = ElementTree.Element("testsuites")
     suite = ElementTree.SubElement(
         root, "testsuite", name="ggavatar-eval", tests=str(len(checks)), failures=str(failures)
     )
+    seen: Counter[tuple[str, str]] = Counter()
     for check in checks:
-        group, _, name = check.case.rpartition("/")
+        group, _, metric = check.case.rpartition("/")
+        name = f"{metric} {check.rule}".rstrip()
+        seen[group, name] += 1
+        name += f" ({seen[group, name]})" if seen[group, name] > 1 else ""
         case = ElementTree.SubElement(suite, "testcase", classname=group or "ggavatar-eval", name=name)
         if check.passed:
             ElementTree.SubElement(case, "system-out").text = check.message

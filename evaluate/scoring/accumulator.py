@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,8 @@ from evaluate.protocols.setup import Setup
 
 Image = UInt8[np.ndarray, "H W 3"]
 
+FLAT = "the prediction is one flat color"
+
 
 @dataclass(frozen=True)
 class FrameScores:
@@ -35,6 +37,7 @@ class FrameScores:
         notes: Deviations of the files from 8-bit RGB.
         landmark_error: Prediction minus ground truth, in units of the eye distance; None if no face was found or
             face metrics are off.
+        flat: Whether the prediction is one color, as of a renderer that drew nothing.
     """
 
     frame: int
@@ -44,6 +47,7 @@ class FrameScores:
     hashes: Mapping[str, str]
     notes: tuple[str, ...] = ()
     landmark_error: Points | None = None
+    flat: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ class Accumulator:
         self._rows: list[dict[str, Value]] = []
         self._files: dict[str, list[str]] = {}
         self._notes: dict[str, int] = {}
+        self._flat: list[int] = []
         self._previous: FrameScores | None = None
         self._errors: dict[int, Points | None] = {}
 
@@ -90,6 +95,8 @@ class Accumulator:
             self._files.setdefault(kind, []).append(f"{scored.frame} {sha256}\n")
         for note in scored.notes:
             self._notes[note] = self._notes.get(note, 0) + 1
+        if scored.flat:
+            self._flat.append(scored.frame)
         self._previous = scored
 
     def _temporal_values(self, now: FrameScores) -> dict[str, Value]:
@@ -142,9 +149,22 @@ class Accumulator:
             weights=weights,
             efficiency=labels.efficiency,
             provenance={**labels.provenance, "versions": versions()},
-            notes=(*labels.notes, *counted),
+            notes=(*labels.notes, *_flat_note(self._flat), *counted),
             setup=labels.setup,
         )
+
+
+def _flat_note(frames: Sequence[int]) -> tuple[str, ...]:
+    """A note that names the frames whose prediction is one color; none if there are none."""
+    if not frames:
+        return ()
+    listed = ", ".join(map(str, frames[:10])) + (", …" if len(frames) > 10 else "")
+    return (f"{FLAT} in {len(frames)} frame{'s' * (len(frames) > 1)} ({listed})",)
+
+
+def flat_notes(evaluation: Evaluation) -> list[str]:
+    """The notes of an evaluation on predictions of one color."""
+    return [note for note in evaluation.notes if note.startswith(FLAT)]
 
 
 def _missing_reason(name: str) -> str:

@@ -25,6 +25,8 @@ from ggavatar.pretrained.resolve import ModelFinder
 Progress = Callable[[int, int], None]
 
 SWITCHED_OFF = "learned metrics were switched off"
+FLAT_SPREAD = 2
+"""Levels of 255 by which an image of one color varies: rounding and the losses of JPEG."""
 INSIDE_METRICS = ("psnr", "mse", "l1")
 """Metrics that a protocol with a region measures over only the region's pixels."""
 
@@ -149,7 +151,13 @@ def score_pair(
         values |= face_values
     notes = tuple(dict.fromkeys(prediction.notes + truth.notes))
     foreground = (weights["foreground"] >= 0.5).astype(np.uint8) if "foreground" in weights else None
-    return FrameScores(pair.frame, values, images, foreground, hashes, notes, error)
+    flat = is_flat(prediction.pixels)
+    return FrameScores(pair.frame, values, images, foreground, hashes, notes, error, flat)
+
+
+def is_flat(pixels: np.ndarray) -> bool:
+    """Whether no channel of an image of 8 bits varies by more than `FLAT_SPREAD` levels."""
+    return all(int(channel.max()) - int(channel.min()) <= FLAT_SPREAD for channel in np.moveaxis(pixels, 2, 0))
 
 
 def _inside(

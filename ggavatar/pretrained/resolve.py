@@ -226,5 +226,17 @@ def _advice(name: str, model: Model, failures: list[str]) -> str:
         f"model file {first.files[0]} ({model.purpose}) was not found and could not be downloaded "
         f"({'; '.join(failures)}). It comes from {' or '.join(sources)} (SHA-256 {first.sha256[:12]}…, "
         f"{model.license}): run ggavatar-models --fetch {name} with a network, or put the file into "
-        f"{downloads_folder()}, or into a folder given with --models or ${MODELS_VARIABLE}"
+        f"{downloads_folder()}, or into a folder given with --models or ${MODELS_VARIABLE}{_in_its_place(model)}"
+    )
+
+
+def _in_its_place(model: Model) -> str:
+    """The substitutes and the command that fetches them, as the end of a sentence; empty if there are none."""
+    if not model.substitutes:
+        return ""
+    sources = [MODELS[other].versions[0] for other in model.substitutes]
+    archives = dict.fromkeys(str(version.member.archive) for version in sources if version.member)
+    return (
+        f". In its place {', '.join(model.substitutes)} are used where they are here ({' and '.join(archives)}): "
+        f"ggavatar-models --fetch {' '.join(model.substitutes)}"
     )

@@ -54,8 +54,9 @@ class Terminal:
         reasons = ", ".join(f"{count} {reason}" for reason, count in packed["dropped_reasons"].items())
         lost = f", {packed['dropped']} left out ({reasons})" if packed["dropped"] else ""
         self._output.print(f"capture with {packed['frames']} frames{lost}: {folder}", markup=False)
+        step = "next" if results["doctor"]["healthy"] else "not healthy: see above; to train nevertheless"
         self._output.print(
-            f"next: ggavatar-train {shlex.quote(str(folder))} -o runs/{shlex.quote(folder.name)}", markup=False
+            f"{step}: ggavatar-train {shlex.quote(str(folder))} -o runs/{shlex.quote(folder.name)}", markup=False
         )
 
 

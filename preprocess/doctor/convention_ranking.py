@@ -14,7 +14,7 @@ from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.doctor.conventions import AXES, OTHERS, Hypothesis
-from preprocess.doctor.frame_offset import brightness_changes, find_offset
+from preprocess.doctor.frame_offset import brightness_changes, find_offset, mean_change
 from preprocess.tracking.geometry.projection import mask_iou, posed_vertices, project, silhouette
 
 SIDE = 128
@@ -107,7 +107,7 @@ def photometric_alternative(capture: Capture, head: HeadModel, scores: dict[str,
             continue
         lead = own - brightness_changes(head, corrected, frames, image)
         lead = lead[np.isfinite(lead)]
-        if len(lead) < 4 or lead.mean() < max(0.15 * np.nanmean(own), 3 * lead.std() / np.sqrt(len(lead))):
+        if len(lead) < 4 or lead.mean() < max(0.15 * mean_change(own), 3 * lead.std() / np.sqrt(len(lead))):
             continue
         if found is None or lead.mean() > found[0]:
             found = (float(lead.mean()), hypothesis)
@@ -124,7 +124,7 @@ def explained_by_frame_offset(capture: Capture, head: HeadModel, hypothesis: Hyp
     if np.allclose(now.world_to_camera, corrected.world_to_camera, atol=1e-6):
         return False
     shifted = find_offset(head, now, frames, frames, capture.image).scores
-    change = float(np.nanmean(brightness_changes(head, corrected, frames, capture.image)))
+    change = mean_change(brightness_changes(head, corrected, frames, capture.image))
     return bool(shifted) and min(shifted.values()) < change
 
 

@@ -205,12 +205,7 @@ def _overlap(own: float, on_faces: bool | None) -> list[Finding]:
 
 def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[Finding]:
     """Implausible focal length, pixel aspect ratio or principal point."""
-    findings = []
-    if not 6 <= lens["field_of_view"] <= 95:
-        focal = f"implausible field of view of {lens['field_of_view']:.0f}° (6° to 95° are usual)"
-        findings.append(
-            Finding("focal", "fault", f"{focal}: the focal length belongs to another image size", "--tracker.focal")
-        )
+    findings = [] if 6 <= lens["field_of_view"] <= 95 else [_focal(lens["field_of_view"], capture)]
     if not 0.95 <= lens["aspect"] <= 1.05:
         findings.append(
             Finding(
@@ -227,6 +222,24 @@ def _lens(lens: Mapping[str, float], capture: Capture, explained: bool) -> list[
         )
         findings.append(Finding("centre", "fault", message, "--resume --fix centre"))
     return findings
+
+
+def _focal(field_of_view: float, capture: Capture) -> Finding:
+    """What an unusual field of view means: an assumption of ours, a wrong --tracker.focal, or a wrong tracking."""
+    report = capture.source.get("tracking", {})
+    report = report if isinstance(report, Mapping) else {}
+    if report.get("camera_is_assumed") is True:
+        message = (
+            f"the field of view of {field_of_view:.0f}° is assumed, since the tracker knows none: the head appears "
+            "where it should, but its distance in m means nothing"
+        )
+        return Finding("focal", "note", message)
+    message = f"implausible field of view of {field_of_view:.0f}° (6° to 95° are usual)"
+    if report.get("tracker") == "built-in":
+        flag = f"--resume --tracker.focal {quality.usual_focal(capture.tracking):.0f}"
+        return Finding("focal", "fault", f"{message}: the focal length was given or estimated wrongly", flag)
+    message += ": the tracking's focal length belongs to another image size; correct it in the tracker's output"
+    return Finding("focal", "fault", message)
 
 
 def _offset(capture: Capture, head: HeadModel, measures: dict[str, Any]) -> list[Finding]:

@@ -98,7 +98,7 @@ def find_offset(
         )
         for offset in offsets
     }
-    scores = {offset: float(np.nanmean(found)) for offset, found in changes.items()}
+    scores = {offset: mean_change(found) for offset, found in changes.items()}
     return OffsetEstimate(_decide(changes, suggested), scores, suggested)
 
 
@@ -115,15 +115,21 @@ def brightness_changes(
     return np.array([brightness.change(first, second, row_of[first], row_of[second]) for first, second in pairs])
 
 
+def mean_change(changes: Float[np.ndarray, " N"]) -> float:
+    """Mean brightness change over the pairs in which the face is inside the image; infinite if it never is."""
+    seen = changes[np.isfinite(changes)]
+    return float(seen.mean()) if len(seen) else np.inf
+
+
 def _decide(changes: dict[int, Float[np.ndarray, " N"]], suggested: int) -> int:
     """The offset with the least change if it is clearly better than the suggested one, else that one."""
-    best = min(changes, key=lambda offset: float(np.nanmean(changes[offset])))
+    best = min(changes, key=lambda offset: mean_change(changes[offset]))
     lead = changes[suggested] - changes[best]
     lead = lead[np.isfinite(lead)]
     if not len(lead) or best == suggested:
         return suggested
     error = float(lead.std() / np.sqrt(len(lead)))
-    clear = lead.mean() > max(MIN_RELATIVE_LEAD * float(np.nanmean(changes[suggested])), MIN_STANDARD_ERRORS * error)
+    clear = lead.mean() > max(MIN_RELATIVE_LEAD * mean_change(changes[suggested]), MIN_STANDARD_ERRORS * error)
     return best if clear else suggested
 
 

@@ -13,6 +13,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.evidence.survey import MAX_REPEAT_DIFFERENCE
 from preprocess.tracking.geometry.projection import posed_vertices, project
+from preprocess.tracking.pose.bundle_adjustment import PRIOR_DISTANCE
 
 MIN_RELATIVE_SHARPNESS = 0.3
 """Sharpness, relative to the clip's median, below which a frame counts as blurred."""
@@ -51,6 +52,11 @@ def head_positions(tracking: Tracking) -> Float[np.ndarray, "T 3"]:
     """The head's position in camera coordinates, m."""
     rotations, offsets = tracking.world_to_camera[:, :3, :3], tracking.world_to_camera[:, :3, 3]
     return np.einsum("tij,tj->ti", rotations, tracking.translation) + offsets
+
+
+def usual_focal(tracking: Tracking) -> float:
+    """Focal length, px, that shows the head at the same size from the distance at which people are usually filmed."""
+    return float(np.median(tracking.intrinsics[:, 0, 0] / head_positions(tracking)[:, 2]) * PRIOR_DISTANCE)
 
 
 def jitter(tracking: Tracking) -> dict[str, float]:

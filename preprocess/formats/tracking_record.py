@@ -37,6 +37,8 @@ class TrackingRecord:
         translation: Translation of the head, m.
         shape: Identity coefficients, if the format has them.
         version: FLAME version that the coefficients belong to by the tool's default; None if they are not FLAME's.
+        camera_is_assumed: Whether focal length and distance only stand for a camera that the tool does not know, as for
+            weak perspective; images agree, distances are not metric.
         notes: What could not be represented or was assumed, for the report.
         extra: Further arrays of the format, such as VHAP's "static_offset".
     """
@@ -52,6 +54,7 @@ class TrackingRecord:
     translation: Float[np.ndarray, "T 3"]
     shape: Float[np.ndarray, " S"] | None = None
     version: str | None = "flame2020"
+    camera_is_assumed: bool = False
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
 

@@ -91,6 +91,7 @@ def weak_record(
         translation=np.zeros((count, 3)),
         shape=frames.stacked("shape").mean(axis=0),
         version=version,
+        camera_is_assumed=True,
         notes=(
             *frames.notes,
             *notes,

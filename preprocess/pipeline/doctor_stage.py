@@ -42,4 +42,4 @@ def _faces(context: StageContext, capture: Capture) -> dict[int, np.ndarray]:
     return {rows[place]: known[capture.frames[rows[place]]] for place in evenly_spaced(len(rows), FRAMES) if rows}
 
 
-STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW), version=3)
+STAGE = Stage("doctor", "Examining", inputs, run, outputs=(REPORT, PREVIEW), version=4)

@@ -23,11 +23,13 @@ from preprocess.pipeline import (
 )
 from preprocess.pipeline.stage import (
     RECORDS,
+    RecordingReporter,
     Reporter,
     Stage,
     StageContext,
     fingerprint,
     finished_result,
+    repeat_messages,
     was_interrupted,
     write_record,
 )
@@ -53,6 +55,8 @@ def run_pipeline(
 ) -> Results:
     """Run every stage whose inputs have changed since it last ran in this folder.
 
+    The warnings and notes of the others are reported again.
+
     Args:
         options: The user's options.
         reporter: Called with each stage and whether it is skipped; gives the stage's reporter as a context manager.
@@ -71,8 +75,11 @@ def run_pipeline(
         result = finished_result(options.output_dir, stage, fingerprint_)
         with reporter(stage, result is not None) as stage_reporter:
             if result is None:
-                context = StageContext(options, options.output_dir, results, stage_reporter)
-                result = _run(stage, context, fingerprint_)
+                recording = RecordingReporter(stage_reporter)
+                context = StageContext(options, options.output_dir, results, recording)
+                result = _run(stage, context, fingerprint_, recording)
+            else:
+                repeat_messages(options.output_dir, stage, stage_reporter)
             results[stage.name] = result
     return results
 
@@ -85,7 +92,7 @@ def _fingerprints(options: PrepOptions, stages: tuple[Stage, ...]) -> list[str]:
     return found
 
 
-def _run(stage: Stage, context: StageContext, wanted: str) -> Mapping[str, Any]:
+def _run(stage: Stage, context: StageContext, wanted: str, recording: RecordingReporter) -> Mapping[str, Any]:
     """Run one stage.
 
     capture.json is removed first: until packing has finished the folder is no capture, so that nobody reads a mixture
@@ -99,7 +106,7 @@ def _run(stage: Stage, context: StageContext, wanted: str) -> Mapping[str, Any]:
             _remove_output(context.folder / name)
     write_record(context.folder, stage, wanted, None)
     result = stage.run(context)
-    write_record(context.folder, stage, wanted, result)
+    write_record(context.folder, stage, wanted, result, recording.messages)
     return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -31,6 +31,32 @@ class Reporter(Protocol):
     def note(self, message: str) -> None:
         """Report an assumption that was made; it is repeated in the summary."""
         ...
+
+
+class RecordingReporter:
+    """Passes everything on and keeps warnings and notes, so that a later run that skips the stage can say them again.
+
+    Attributes:
+        messages: Pairs of "warning" or "note" and the message, in order.
+    """
+
+    def __init__(self, reporter: Reporter) -> None:
+        self._reporter = reporter
+        self.messages: list[tuple[str, str]] = []
+
+    def advance(self, done: int, total: int | None) -> None:
+        """Pass progress on."""
+        self._reporter.advance(done, total)
+
+    def warn(self, message: str) -> None:
+        """Keep a warning and pass it on."""
+        self.messages.append(("warning", message))
+        self._reporter.warn(message)
+
+    def note(self, message: str) -> None:
+        """Keep an assumption and pass it on."""
+        self.messages.append(("note", message))
+        self._reporter.note(message)
 
 
 @dataclass(frozen=True)
@@ -120,8 +146,20 @@ def _read_record(folder: Path, stage: Stage) -> Mapping[str, Any]:
     return read_json(path) if path.exists() else {}
 
 
-def write_record(folder: Path, stage: Stage, wanted: str, result: Mapping[str, Any] | None) -> None:
-    """Record that a stage has started (`result` is None) or finished."""
-    record = {"fingerprint": wanted} | ({} if result is None else {"result": dict(result)})
-    text = json.dumps(record, ensure_ascii=False, indent=1, allow_nan=False)
+def repeat_messages(folder: Path, stage: Stage, reporter: Reporter) -> None:
+    """Report the warnings and notes of a finished stage again; records of older versions hold none."""
+    for kind, message in _read_record(folder, stage).get("messages", ()):
+        (reporter.warn if kind == "warning" else reporter.note)(message)
+
+
+def write_record(
+    folder: Path,
+    stage: Stage,
+    wanted: str,
+    result: Mapping[str, Any] | None,
+    messages: Sequence[tuple[str, str]] = (),
+) -> None:
+    """Record that a stage has started (`result` is None) or finished, with the warnings and notes it reported."""
+    finished = {} if result is None else {"result": dict(result), "messages": list(messages)}
+    text = json.dumps({"fingerprint": wanted} | finished, ensure_ascii=False, indent=1, allow_nan=False)
     write_text(_record_path(folder, stage), text)

@@ -21,7 +21,7 @@ from preprocess.doctor.frame_offset import find_offset
 from preprocess.evidence.survey import read_survey
 from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
-from preprocess.options import PrepOptions
+from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.pipeline.face_stage import SURVEY
 from preprocess.pipeline.mask_stage import NO_MASK
 from preprocess.pipeline.stage import Stage, StageContext, file_state
@@ -32,9 +32,14 @@ from preprocess.video.crop import crop_from_json
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """State of the tracking and the head model, and the tracker's options."""
+    """State of the tracking and the head model, and the tracker's options.
+
+    Raises:
+        InputError: No such file, or options of the built-in tracker together with another tracker's output.
+    """
     if options.tracking is not None:
         _head_path(options)
+        _refuse_tracker_options(options.tracker)
     return {
         "tracking": file_state(options.tracking),
         "format": options.format,
@@ -130,6 +135,7 @@ def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], Tra
     rows = np.array([row_of[number - offset] for number in kept])
     found = with_torso(context, head, tracking.rows(rows), kept)
     report = {"tracker": name, "offset": offset, "pairing": pairing, "notes": [*record.notes, *version_note]}
+    report |= {"camera_is_assumed": True} if record.camera_is_assumed else {}
     return kept, TrackedSequence(
         found, head, report | {"warnings": _warnings(record, pairing, len(numbers) - len(kept))}
     )
@@ -195,6 +201,17 @@ def _head(options: PrepOptions, record: TrackingRecord) -> tuple[HeadModel, list
             "the head model is FLAME 2023 Open: right only if the video was tracked with it, which no file says"
         )
     return with_static_offset(head, record), notes
+
+
+def _refuse_tracker_options(given: TrackingOptions) -> None:
+    """Refuse what would be ignored: the options of the built-in tracker, which does not run."""
+    default = TrackingOptions()
+    for item in dataclasses.fields(given):
+        if getattr(given, item.name) != getattr(default, item.name):
+            raise InputError(
+                f"--tracker.{item.name}: expected no option of the built-in tracker with --tracking, whose values are "
+                "used as they are; leave it out, or leave --tracking out so that the built-in tracker runs"
+            )
 
 
 def _head_path(options: PrepOptions) -> Path:
@@ -284,4 +301,4 @@ def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 
 
-STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=10)
+STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=11)

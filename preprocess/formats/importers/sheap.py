@@ -57,10 +57,12 @@ def read(path: Path) -> TrackingRecord:
         eyelids=lids,
         translation=frames.stacked("translation"),
         shape=frames.stacked("shape").mean(axis=0),
+        camera_is_assumed=True,
         notes=(
             *frames.notes,
             *notes,
             "SHeaP's camera belongs to its own crops of 224 px: give those as INPUT",
+            f"SHeaP's camera is always one of {FIELD_OF_VIEW:.1f}°: distance and focal length are assumed",
             "the identity is the clip's mean",
             *(("SHeaP's eyelids are not metrical-tracker's; they are approximate",) if np.any(lids) else ()),
         ),

@@ -8,11 +8,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from evaluate.cli.evaluate import main
 from evaluate.options import parse
 from tests.support.image_pairs import pair, write, write_folders
+from tests.support.toy_run import HEIGHT, WIDTH, write_capture
 
 PLAIN = ["--no-report", "--quiet", "--metrics", "psnr", "ssim"]
 
@@ -44,6 +46,21 @@ def test_the_paths_written_are_the_last_lines(tmp_path: Path, capsys: pytest.Cap
     folders = ["--pred", str(tmp_path / "pred"), "--gt", str(tmp_path / "gt")]
     assert main([*folders, "--no-report", "--metrics", "psnr", "--table"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"wrote {tmp_path / 'pred-evaluation' / 'table.json'}"
+
+
+def test_pictures_against_a_folder_and_against_a_capture_do_not_overwrite_each_other(tmp_path: Path) -> None:
+    capture = write_capture(tmp_path / "capture")
+    _, truth = write_folders(tmp_path, [10, 15], HEIGHT, WIDTH)
+    common = ["--pred", str(tmp_path / "pred"), "--no-report", "--quiet", "--no-lpips", "--metrics", "psnr"]
+    tables = {}
+    for flags in (["--gt", str(truth)], ["--capture", str(capture.folder), "--regions", "foreground"]):
+        assert main([*common, *flags]) == 0
+        tables[flags[0]] = {path for path in (tmp_path / "pred-evaluation").rglob("table.*")}
+        tables[flags[0], "text"] = (tmp_path / "pred-evaluation" / "table.json").read_text()
+    assert len(tables["--gt"]) == 5 and len(tables["--capture"]) == 10
+    assert tables["--gt", "text"] == tables["--capture", "text"]
+    (beside,) = {path.parent for path in tables["--capture"] - tables["--gt"]}
+    assert (beside / "metrics.json").is_file()
 
 
 def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
@@ -135,6 +152,22 @@ def test_gates_end_with_code_3_and_say_what_failed(tmp_path: Path, capsys: pytes
     assert score(tmp_path, "--compare", str(kept), "--allow-other", "ground-truth") == 3
 
 
+@pytest.mark.parametrize("color", [0, 128, 255])
+def test_flat_predictions_are_named_also_when_stored_scores_are_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], color: int
+) -> None:
+    predictions, _ = write_folders(tmp_path, [1, 2, 3])
+    assert score(tmp_path) == 0
+    assert "flat" not in capsys.readouterr().err
+    for frame in (1, 3):
+        write(predictions / f"frame_{frame:04d}.png", np.full((48, 64, 3), color, np.uint8))
+    assert score(tmp_path) == 0
+    line = "warning: Anna/ours: the prediction is one flat color in 2 frames (1, 3)\n"
+    assert capsys.readouterr().err == line
+    assert main([str(tmp_path / "ours"), "-o", str(tmp_path / "table"), "--no-report", "--quiet"]) == 0
+    assert capsys.readouterr().err == line
+
+
 def test_results_of_several_methods_make_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predictions, _ = write_folders(tmp_path, [1, 2])
     assert score(tmp_path, method="one") == 0
@@ -167,8 +200,6 @@ def test_without_runs_the_papers_tables_stand_alone(tmp_path: Path, capsys: pyte
 
 
 def test_masks_and_region_masks_become_columns(tmp_path: Path) -> None:
-    import numpy as np
-
     write_folders(tmp_path, [1])
     write(tmp_path / "masks" / "1.png", np.pad(np.full((20, 20), 255, np.uint8), ((10, 18), (10, 34))))
     write(tmp_path / "parts" / "face" / "1.png", np.full((48, 64), 255, np.uint8))

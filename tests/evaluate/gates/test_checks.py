@@ -41,17 +41,32 @@ def test_identical_images_pass_any_floor() -> None:
 
 
 def test_limits_are_parsed_and_unknown_metrics_get_the_nearest() -> None:
-    assert parse_limits(["psnr=30", "ssim=.9", "psnr@face=25", "lpips=1e-1"], "--fail-below") == {
+    assert parse_limits(["psnr=30", "ssim=.9", "psnr@face=25"], "--fail-below") == {
         "psnr": 30,
         "ssim": 0.9,
         "psnr@face": 25,
-        "lpips": 0.1,
     }
+    assert parse_limits(["lpips=1e-1"], "--fail-above") == {"lpips": 0.1}
     with pytest.raises(InputError, match="did you mean psnr"):
         parse_limits(["pnsr=30"], "--fail-below")
     for text in ("psnr", "psnr=high", "psnr=", "psnr=nan", "psnr=inf"):
         with pytest.raises(InputError, match="METRIC=NUMBER"):
             parse_limits([text], "--fail-below")
+
+
+@pytest.mark.parametrize("name", ["lpips", "lpips_vgg", "l1@face", "flicker", "expression_distance"])
+def test_a_floor_of_a_metric_of_which_lower_is_better_is_refused(name: str) -> None:
+    message = f"--fail-below: {name} is lower-is-better, found {name}=1; use --fail-above {name}=1"
+    with pytest.raises(InputError, match=f"^{message}$"):
+        parse_limits([f"{name}=1"], "--fail-below")
+    assert parse_limits([f"{name}=1"], "--fail-above") == {name: 1}
+
+
+@pytest.mark.parametrize("name", ["psnr", "ssim", "ssim_3dgs", "psnr@face", "identity"])
+def test_a_ceiling_of_a_metric_of_which_higher_is_better_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match=f"{name} is higher-is-better, .*; use --fail-below {name}=1"):
+        parse_limits([f"{name}=1"], "--fail-above")
+    assert parse_limits([f"{name}=1"], "--fail-below") == {name: 1}
 
 
 def test_short_names_stand_for_the_variant_in_the_main_table() -> None:

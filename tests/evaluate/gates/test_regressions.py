@@ -98,6 +98,33 @@ def test_another_method_behind_the_same_label_is_refused() -> None:
         compare(foreign, old)
 
 
+def test_a_baseline_of_another_method_is_refused_unless_it_is_allowed() -> None:
+    old = evaluation("Anna", "ggavatar", setup=FAST)
+    other = evaluation("Anna", "flash_avatar", (20.0, 20.0), setup=dataclasses.replace(FAST, method="flash_avatar"))
+    with pytest.raises(InputError, match=r"method \(ggavatar then, flash_avatar now\).*--allow-other method$"):
+        compare(other, old)
+    checks = compare(other, old, allow=("method",))
+    assert "Anna/flash_avatar/psnr" in failed(checks) and len(checks) == len(baseline_of(old).means)
+    assert all("(another method)" in check.message for check in checks)
+    with pytest.raises(InputError, match=r"method \(a then, b now\)"):
+        compare(evaluation("Anna", "b"), evaluation("Anna", "a"))
+
+
+def test_a_missing_method_beside_one_that_is_there_fails() -> None:
+    there, gone = evaluation("Anna", "a"), evaluation("Anna", "b")
+    assert failed(compare(there, [baseline_of(there), baseline_of(gone)])) == ["Anna/b"]
+
+
+def test_a_comparison_across_seeds_says_so() -> None:
+    one, two = (evaluation("Anna", "m", seed=seed) for seed in (1, 2))
+    assert all("(another seed: 1 then, 2 now)" in check.message for check in compare(two, one))
+    assert all("(another seed: none then, 2 now)" in c.message for c in compare(two, evaluation("Anna", "m")))
+    assert not any("another" in check.message for check in compare(two, two))
+    other = dataclasses.replace(two, hashes={"ground_truth": "another"})
+    checks = compare(other, one, allow=("ground-truth",))
+    assert all("(another ground truth, seed: 1 then, 2 now)" in check.message for check in checks)
+
+
 def test_a_setup_that_was_not_recorded_is_not_held_against_a_result() -> None:
     assert failed(compare(evaluation("Anna", "m", setup=FAST), evaluation("Anna", "m"))) == []
 

@@ -7,8 +7,11 @@ from xml.etree import ElementTree
 
 import pytest
 
+from evaluate.gates.baselines import baseline_of
 from evaluate.gates.checks import Check
+from evaluate.gates.limits import Limits
 from evaluate.gates.reports import append_step_summary, to_github, to_junit
+from tests.support.evaluations import evaluation
 
 CHECKS = [Check("Anna/m/psnr", True, "fine"), Check("Anna/m/ssim", False, "100% bad: <x>, worse\nby 1")]
 
@@ -24,6 +27,18 @@ def test_junit_holds_every_check() -> None:
     assert failure is not None
     assert failure.get("message") == "100% bad: <x>, worse\nby 1"
     assert cases[0].find("failure") is None
+
+
+def test_no_two_junit_cases_have_the_same_name() -> None:
+    old, new = evaluation("Anna", "m", lpips=(0.2, 0.2)), evaluation("Anna", "m")
+    limits = Limits({"psnr": 3.0}, {"lpips": 1.0, "lpips_alex": 2.0}, [baseline_of(old)] * 2, {})
+    cases = ElementTree.fromstring(to_junit(limits.checks([new]))).findall("testsuite/testcase")
+    names = [(case.get("classname"), case.get("name")) for case in cases]
+    assert len(set(names)) == len(names)
+    assert {name for _, name in names} >= {
+        "psnr floor", "psnr against baseline", "psnr against baseline (2)", "lpips_alex ceiling",
+        "lpips_alex ceiling (2)",
+    }  # fmt: skip
 
 
 def test_github_gets_an_error_per_failure_and_one_summary() -> None:

@@ -15,7 +15,7 @@ from evaluate.protocols.protocol import Protocol, protocol_by_name
 from evaluate.protocols.results import read_results, write_results
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
-from evaluate.scoring.score import learned_metrics, score
+from evaluate.scoring.score import is_flat, learned_metrics, score
 from ggavatar.errors import InputError
 from ggavatar.pretrained.resolve import ModelFinder
 from tests.support.image_pairs import mean_ssim, pair, write, write_folders
@@ -44,6 +44,17 @@ def test_values_are_those_of_the_single_functions(tmp_path: Path) -> None:
     pooled = found.summary("psnr_pooled").mean
     assert pooled is not None
     assert pooled <= mean
+
+
+def test_an_image_is_flat_if_it_shows_one_color() -> None:
+    truth, render = pair()
+    assert not is_flat(truth) and not is_flat(render)
+    image = np.full((48, 64, 3), (10, 200, 77), np.uint8)
+    assert is_flat(image)
+    image[5, 5, 1] = 202
+    assert is_flat(image)
+    image[5, 5, 1] = 203
+    assert not is_flat(image)
 
 
 def test_the_number_of_threads_changes_nothing(tmp_path: Path) -> None:

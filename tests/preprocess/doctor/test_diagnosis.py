@@ -21,10 +21,13 @@ from ggavatar.head.files import load_head
 from ggavatar.io.images import image_header, write_png
 from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main as prep
+from preprocess.cli.terminal import Terminal
 from preprocess.doctor.convention_ranking import explained_by_frame_offset
 from preprocess.doctor.conventions import AXES, FIXES, apply_fixes
 from preprocess.doctor.diagnosis import examine
 from preprocess.doctor.letterbox import black_bars, crop_flags
+from preprocess.doctor.quality import head_positions
+from preprocess.options import PrepOptions
 from preprocess.synthetic.demo import DemoSettings, write_demo
 
 SIZE, FRAMES = 128, 56
@@ -138,10 +141,29 @@ def test_swapped_size_of_an_oblong_capture_is_named(capture, head, tmp_path):
     assert found and found[0].code == "swapped-size"
 
 
-def test_wrong_focal_length_is_named(capture, head):
-    intrinsics = capture.tracking.intrinsics.copy()
-    intrinsics[:, [0, 1], [0, 1]] *= 12
-    assert "focal" in {finding.code for finding in faults(capture, head, intrinsics=intrinsics)}
+@pytest.mark.parametrize(
+    ("tracking", "severity", "flag"),
+    [
+        ({"tracker": "metrical_tracker"}, "fault", ""),
+        ({"tracker": "deca", "camera_is_assumed": True}, "note", ""),
+        ({"tracker": "built-in"}, "fault", "--resume --tracker.focal {}"),
+    ],
+)
+def test_wrong_focal_length_is_named(capture, head, tracking, severity, flag):
+    """Focal length and distance ×30, which hardly changes the image; only the built-in tracker takes another one."""
+    intrinsics, poses = capture.tracking.intrinsics.copy(), capture.tracking.world_to_camera.copy()
+    intrinsics[:, [0, 1], [0, 1]] *= 30
+    poses[:, 2, 3] += 29 * head_positions(capture.tracking)[:, 2]
+    wrong = dataclasses.replace(
+        capture,
+        tracking=dataclasses.replace(capture.tracking, intrinsics=intrinsics, world_to_camera=poses),
+        source={**capture.source, "tracking": tracking},
+    )
+    diagnosis = examine(wrong, head)
+    (found,) = [finding for finding in diagnosis.findings if finding.code == "focal"]
+    magnification = capture.tracking.intrinsics[:, 0, 0] / head_positions(capture.tracking)[:, 2]
+    assert (found.severity, found.flag) == (severity, flag.format(round(float(np.median(magnification)))))
+    assert diagnosis.healthy == (severity == "note")
 
 
 def test_another_videos_tracking_is_noticed(capture, head):
@@ -192,6 +214,15 @@ def test_report_and_preview_are_written(folder, capsys):
     assert "doctor: healthy" in capsys.readouterr().out
     assert doctor([str(folder), "--json", "--dry-run"]) == 0
     assert json.loads(capsys.readouterr().out)["healthy"] is True
+
+
+@pytest.mark.parametrize(("healthy", "start"), [(True, "next: "), (False, "not healthy: see above; to train neverth")])
+def test_what_is_not_healthy_is_not_recommended_for_training(folder, capsys, healthy, start):
+    report = json.loads((folder / "doctor.json").read_text()) | {"healthy": healthy}
+    packed = {"frames": FRAMES, "dropped": 0, "dropped_reasons": {}}
+    Terminal(quiet=False).summary(PrepOptions(folder / "video.mp4", folder), {"doctor": report, "pack": packed})
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(start) and f"ggavatar-train {folder}" in last
 
 
 def test_strict_doctor_fails(folder, tmp_path, capsys):

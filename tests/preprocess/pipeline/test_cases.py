@@ -82,3 +82,13 @@ def test_cut_to_another_person(cases, tmp_path, capsys):
     assert ": unchanged" in said(capsys) and Capture.open(tmp_path / "c").frames == tuple(range(30))
     assert main([str(cases / "cut_to_another_person.mp4"), *flags, "--overwrite", "--frames", "0:30", "--quiet"]) == 0
     assert Capture.open(tmp_path / "c").frames == tuple(range(30))
+
+
+def test_emoca_codes_have_an_assumed_camera(cases, tmp_path, capsys):
+    """Weak perspective is read as a field of view of 3°, which is no fault and cannot be mended by --tracker.focal."""
+    inputs = ["--tracking", str(cases / "emoca_codes"), "--head-model", str(cases / "subject_2_head.npz")]
+    flags = ["--masks", str(cases / "subject_2_masks"), "--frames", ":24", "--size", "128", "--offline"]
+    assert main([str(cases / "subject_2.mp4"), *inputs, *flags, "-o", str(tmp_path / "c")]) == 0
+    message = said(capsys)
+    assert "the field of view of 3° is assumed" in message and "implausible" not in message
+    assert "--tracker.focal" not in message and "distance and focal length are assumed" in message

@@ -77,6 +77,34 @@ def test_unchanged_stages_are_skipped_and_changed_ones_run(clip, tmp_path, capsy
     assert Capture.open(folder).width == 64
 
 
+def messages(text):
+    """The lines of the summary that report a warning or an assumption."""
+    return [line for line in text.splitlines() if line.startswith(("warning: ", "note: "))]
+
+
+def test_what_skipped_stages_assumed_is_said_again(clip, tmp_path, capsys):
+    """Masks with levels 0 and 1 are scaled (a note of the mask stage), a frame has no tracking (a warning)."""
+    masks, tracking, folder = tmp_path / "masks", tmp_path / "tracking", tmp_path / "c"
+    for row in range(24):
+        write_png(masks / f"{row:05d}.png", draw(clip.head, clip.record, row)[1] // 255)
+    shutil.copytree(clip.folder / "tracking", tracking)
+    (tracking / "00011.frame").unlink()
+    assert run(clip, folder, masks=masks, tracking=tracking, loud=True) == 0
+    first = messages(capsys.readouterr().err)
+    assert any("levels 0 (background) and 1 (person)" in line for line in first)
+    assert any("1 frames have no tracking" in line for line in first)
+    for more, unchanged in (((), 8), (("--split", "last-5"), 6)):
+        assert run(clip, folder, "--resume", *more, masks=masks, tracking=tracking, loud=True) == 0
+        text = capsys.readouterr().err
+        assert text.count(": unchanged") == unchanged and messages(text) == first
+
+
+@pytest.mark.parametrize("flags", [("--tracker.focal", "900"), ("--tracker.no-smooth",)])
+def test_options_that_an_imported_tracking_ignores_are_refused(clip, tmp_path, capsys, flags):
+    assert run(clip, tmp_path / "c", *flags) == 2
+    assert "leave it out" in said(capsys) and not (tmp_path / "c").exists()
+
+
 def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
     """Killed in the middle of each stage: no capture is left that opens, and --resume finishes it."""
     from preprocess.pipeline import crop_stage, mask_stage, pipeline
