@@ -87,6 +87,7 @@ class _CompiledBind(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the local geometry, from those of the world geometry."""
         from ggavatar.gaussians import binding_kernel as kernels
 
         wanted = kernels.GeometryArrays(*(_array(value) for value in upstream))

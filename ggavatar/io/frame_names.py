@@ -17,6 +17,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,6 +31,9 @@ MAX_STRAY = 0.1
 _NUMBER = re.compile(r"\d+")
 _CAMERA_WORD = re.compile(r"(cam|camera|view)[_-]?$", re.IGNORECASE)
 _FRAME_AND_CAMERA = re.compile(r"^\d{4,9}_\d{2,3}$")
+
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -46,9 +50,9 @@ class FrameNumbers:
     notes: tuple[str, ...] = ()
     cameras: tuple[int, ...] = ()
 
-    def by_number(self, names: Sequence[str]) -> dict[int, str]:
-        """The names by ascending frame number."""
-        found = {number: name for number, name in zip(self.numbers, names, strict=True) if number is not None}
+    def by_number(self, values: Sequence[T]) -> dict[int, T]:
+        """What belongs to the names, such as the names themselves, by ascending frame number."""
+        found = {number: value for number, value in zip(self.numbers, values, strict=True) if number is not None}
         return dict(sorted(found.items()))
 
 

@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ggavatar.errors import InputError
 from preprocess.formats.array_table import Assume
-from preprocess.formats.tracking_record import MAX_BAD_SHARE, MAX_MAGNITUDE, left_out_text
+from preprocess.formats.tracking_record import MAX_BAD_SHARE, MAX_MAGNITUDE, TrackingRecord, left_out_text
 
 Frame = Mapping[str, np.ndarray]
 """Arrays of one frame by name; "size", if there, is the (height, width) of its image."""
@@ -41,6 +42,23 @@ class FrameSet:
         shapes = self.stacked("shape")
         same = np.allclose(shapes, shapes[0], atol=1e-5, equal_nan=True)
         return shapes[0], () if same else ("the identity changes between frames; the first is used",)
+
+    def record(self, notes: tuple[str, ...] = (), **others: Any) -> TrackingRecord:
+        """The record of frames with "size" (height, width), "intrinsics", "world_to_camera" and so on.
+
+        Args:
+            notes: Notes besides those of the frames.
+            **others: Fields of the record that are not stacked from the frames. Eyelids and translation that no frame
+                has are zero.
+        """
+        height, width = self.stacked("size")[0]
+        missing = {"eyelids": np.zeros((len(self.frames), 2)), "translation": np.zeros((len(self.frames), 3))}
+        optional = {name: self.stacked(name) if name in self.frames[0] else zero for name, zero in missing.items()}
+        stacked = {name: self.stacked(name) for name in ("intrinsics", "world_to_camera", "expression")}
+        values = {**stacked, **optional, "joint_rotations": self.stacked("joint_rotations"), **others}
+        return TrackingRecord(
+            np.array(self.numbers, dtype=np.int64), int(width), int(height), notes=(*self.notes, *notes), **values
+        )
 
 
 Reader = Callable[[Assume], Frame]

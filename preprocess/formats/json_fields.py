@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ggavatar.errors import InputError
+from ggavatar.io.frame_names import FrameNumbers, frame_numbers
 
 MAX_FRAMES = 200_000
 """More frames than any video that is tracked."""
@@ -30,6 +31,17 @@ def frame_list(path: Path, data: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     if not all(isinstance(frame, dict) for frame in frames):
         raise InputError(f'{path}: expected every entry of "frames" to be an object')
     return frames
+
+
+def frames_by_number(path: Path, data: Mapping[str, Any]) -> tuple[dict[int, Mapping[str, Any]], tuple[str, ...]]:
+    """The objects under "frames" by the ascending number in their "file_path", and notes on what was assumed.
+
+    Raises:
+        InputError: As in `frame_list` and `listed_numbers`.
+    """
+    frames = frame_list(path, data)
+    listed = listed_numbers(path, [frame.get("file_path") for frame in frames])
+    return listed.by_number(frames), listed.notes
 
 
 def finite_number(path: Path, data: Mapping[str, Any], key: str) -> float:
@@ -72,12 +84,17 @@ def _shape_text(shape: Sequence[int | None]) -> str:
     return "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
 
 
-def last_number(path: Path, text: object) -> int:
-    """The last number in a name such as "./image/17" or "images/00017.png"; `InputError` without one."""
-    found = re.findall(r"\d+", text) if isinstance(text, str) else []
-    if not found or len(found[-1]) > 9:
-        raise InputError(f"{path}: expected a file name with the frame number in it, found {text!r:.60}")
-    return int(found[-1])
+def listed_numbers(path: Path, names: Sequence[object]) -> FrameNumbers:
+    """The frame numbers in listed names such as "./image/17" or "images/00017.png", by the rule for all names.
+
+    Raises:
+        InputError: A name has no number, or it cannot be told which number counts the frames.
+    """
+    stems = [PurePosixPath(name).stem if isinstance(name, str) else "" for name in names]
+    without = next((name for name, stem in zip(names, stems, strict=True) if not re.search(r"\d", stem)), None)
+    if any(not re.search(r"\d", stem) for stem in stems):
+        raise InputError(f"{path}: expected a file name with the frame number in it, found {without!r:.60}")
+    return frame_numbers(stems, path)
 
 
 def pose_from_opengl(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

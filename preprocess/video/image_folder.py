@@ -100,5 +100,4 @@ def numbered_images(folder: Path, camera: int | None = None) -> NumberedImages:
     if files and all(number is None for number in found.numbers):
         note = f"{folder}: no numbers in the names of the images, which are numbered in alphabetical order"
         return NumberedImages(dict(enumerate(files)), (note,), by_position=True)
-    numbered = {number: path for number, path in zip(found.numbers, files, strict=True) if number is not None}
-    return NumberedImages(dict(sorted(numbered.items())), tuple(f"{folder}: {note}" for note in found.notes))
+    return NumberedImages(found.by_number(files), tuple(f"{folder}: {note}" for note in found.notes))

@@ -11,8 +11,8 @@ MUTATIONS = (
     Mutation(
         "metrical_tracker_size_as_width_and_height",
         "preprocess/formats/importers/metrical_tracker.py",
-        'height, width = frames.stacked("size")[0]',
-        'width, height = frames.stacked("size")[0]',
+        "height, width = image_size(content)",
+        "width, height = image_size(content)",
         (ROUND_TRIP,),
     ),
     Mutation(

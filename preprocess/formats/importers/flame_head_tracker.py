@@ -13,14 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ggavatar.errors import InputError
-from ggavatar.io.frame_names import frame_numbers
 from ggavatar.io.npz import write_npz
 from preprocess.formats.array_files import read_arrays
 from preprocess.formats.array_table import ArrayTable, Assume
-from preprocess.formats.frame_set import Frame, read_frames
+from preprocess.formats.frame_set import Frame
 from preprocess.formats.json_fields import camera_matrix, invert_pose
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
-from preprocess.formats.weak_perspective import code_places
+from preprocess.formats.weak_perspective import code_places, read_codes
 
 TITLE = "flame-head-tracker: folder of %d.npz with cam, fov, K, exp and head_pose"
 SIDE = 256
@@ -45,9 +44,7 @@ def read(folder: Path) -> TrackingRecord:
     places = code_places(folder, _NEEDED) or code_places(folder, frozenset({"cam"}))
     if not places:
         raise InputError(f"{folder}: expected {TITLE}; give the folder that flame-head-tracker saved")
-    found = frame_numbers(list(places), folder)
-    names, notes = found.by_number(list(places)), found.notes
-    frames = read_frames(folder, {number: places[name] for number, name in names.items()}, _read_frame)
+    frames, notes = read_codes(folder, places, _read_frame)
     shapes = frames.stacked("shape")
     record = TrackingRecord(
         numbers=np.array(frames.numbers, dtype=np.int64),

@@ -15,7 +15,7 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json, write_json
-from preprocess.formats.json_fields import camera_matrix, frame_list, last_number, number_array
+from preprocess.formats.json_fields import camera_matrix, frames_by_number, number_array
 from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
 
 TITLE = "IMavatar / PointAvatar / MonoGaussianAvatar: flame_params.json"
@@ -40,7 +40,7 @@ def read(path: Path) -> TrackingRecord:
     """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
     path = _json_file(path)
     data = read_json(path)
-    frames = {last_number(path, frame.get("file_path")): frame for frame in frame_list(path, data)}
+    frames, name_notes = frames_by_number(path, data)
     numbers = sorted(frames)
     width, height = _image_size(path.parent)
     poses, joints, expressions = zip(*(_frame(path, frames[number]) for number in numbers), strict=True)
@@ -55,7 +55,7 @@ def read(path: Path) -> TrackingRecord:
         eyelids=np.zeros((len(numbers), 2)),
         translation=np.zeros((len(numbers), 3)),
         shape=number_array(path, data.get("shape_params"), (None,), "'shape_params'"),
-        notes=("this format has no eyelids",),
+        notes=(*name_notes, "this format has no eyelids"),
     )
     return without_bad_frames(path, record)
 

@@ -26,13 +26,15 @@ from ggavatar.io.json_files import read_json, write_json
 from preprocess.formats.json_fields import (
     camera_matrix,
     finite_number,
-    frame_list,
+    frames_by_number,
     image_size,
     invert_pose,
-    last_number,
     number_array,
 )
 from preprocess.formats.tracking_record import TrackingRecord, stacked, without_bad_frames
+
+WITHOUT_JAW = "no flame/jaw, so the jaw stays closed; give metrical-tracker's checkpoint folder instead"
+"""Note on files of the version of INSTA that stores no jaw."""
 
 TITLE = "INSTA: transforms.json with flame/exp/%05d.txt"
 
@@ -46,7 +48,7 @@ def read(folder: Path) -> TrackingRecord:
     """Read cameras and FLAME parameters; `InputError` naming the file for anything wrong."""
     path = folder / "transforms.json"
     data = read_json(path)
-    frames = {last_number(path, frame.get("file_path")): frame for frame in frame_list(path, data)}
+    frames, name_notes = frames_by_number(path, data)
     numbers = sorted(frames)
     width, height = image_size(path, data)
     intrinsics = camera_matrix(*(finite_number(path, data, key) for key in ("fl_x", "fl_y", "cx", "cy")))
@@ -66,9 +68,7 @@ def read(folder: Path) -> TrackingRecord:
         eyelids=np.stack([values["eyelids"] for values in coefficients]),
         translation=np.zeros((len(numbers), 3)),
         shape=coefficients[0]["shape"],
-        notes=()
-        if has_jaw
-        else ("no flame/jaw, so the jaw stays closed; give metrical-tracker's checkpoint folder instead",),
+        notes=name_notes if has_jaw else (*name_notes, WITHOUT_JAW),
     )
     return without_bad_frames(folder, record)
 

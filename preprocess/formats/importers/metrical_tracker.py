@@ -60,22 +60,8 @@ def read(folder: Path) -> TrackingRecord:
     if not files:
         raise InputError(f"{folder}: expected files such as 00000.frame; give metrical-tracker's `checkpoint` folder")
     frames = read_frames(folder, files, _read_frame)
-    height, width = frames.stacked("size")[0]
     shape, notes = frames.identity()
-    record = TrackingRecord(
-        numbers=np.array(frames.numbers, dtype=np.int64),
-        width=int(width),
-        height=int(height),
-        intrinsics=frames.stacked("intrinsics"),
-        world_to_camera=frames.stacked("world_to_camera"),
-        expression=frames.stacked("expression"),
-        joint_rotations=frames.stacked("joint_rotations"),
-        eyelids=frames.stacked("eyelids"),
-        translation=np.zeros((len(frames.numbers), 3)),
-        shape=shape,
-        notes=(*frames.notes, *notes),
-    )
-    return without_bad_frames(folder, record)
+    return without_bad_frames(folder, frames.record(notes, shape=shape))
 
 
 def _read_frame(path: Path, assume: Assume) -> Frame:

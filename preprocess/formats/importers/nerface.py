@@ -7,7 +7,7 @@ right are mirrored instead. Pixel centers have integer coordinates, so half a pi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import read_json, write_json
-from preprocess.formats.json_fields import camera_matrix, frame_list, invert_pose, last_number, number_array
+from preprocess.formats.json_fields import camera_matrix, frame_list, invert_pose, listed_numbers, number_array
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
 
 TITLE = "NeRFace: transforms_{train,val,test}.json with expression and bbox (not FLAME)"
@@ -26,6 +26,9 @@ DEFAULT_SIZE = 512
 
 def _files(folder: Path) -> list[Path]:
     return [path for part in _PARTS if (path := folder / f"transforms_{part}.json").is_file()]
+
+
+FOREIGN_COEFFICIENTS = "NeRFace's coefficients are not FLAME's; without their own head model, track the video again"
 
 
 def recognizes(folder: Path) -> bool:
@@ -45,14 +48,18 @@ def read(folder: Path) -> TrackingRecord:
     if not files:
         raise InputError(f"{folder}: expected transforms_train.json, transforms_val.json or transforms_test.json")
     width, height = _image_size(folder)
-    found: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    by_name: dict[object, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # splits may share frames
     for path in files:
         data = read_json(path)
         lens = number_array(path, data.get("intrinsics"), (4,), "'intrinsics'")
         if 0 in lens[:2]:
             raise InputError(f"{path}: expected focal lengths other than zero in 'intrinsics'")
         for frame in frame_list(path, data):
-            found[last_number(path, frame.get("file_path"))] = _frame(path, frame, lens, width, height)
+            name = frame.get("file_path")
+            name = PurePosixPath(name).name if isinstance(name, str) else repr(name)
+            by_name[name] = _frame(path, frame, lens, width, height)
+    listed = listed_numbers(folder, list(by_name))
+    found = listed.by_number(list(by_name.values()))
     numbers, count = sorted(found), len(found)
     if len({len(found[number][2]) for number in numbers}) != 1:
         raise InputError(f"{files[0]}: expected the same number of coefficients in 'expression' of all frames")
@@ -67,7 +74,7 @@ def read(folder: Path) -> TrackingRecord:
         eyelids=np.zeros((count, 2)),
         translation=np.zeros((count, 3)),
         version=None,
-        notes=("NeRFace's coefficients are not FLAME's; without their own head model, track the video again",),
+        notes=(*listed.notes, FOREIGN_COEFFICIENTS),
     )
     return without_bad_frames(folder, record)
 

@@ -56,7 +56,6 @@ def read(folder: Path) -> TrackingRecord:
     if not files:
         raise InputError(f"{folder}: expected files such as 00000.frame; give Pixel3DMM's `checkpoint` folder")
     frames = read_frames(folder, files, _read_frame)
-    height, width = frames.stacked("size")[0]
     joints = frames.stacked("joint_rotations")
     if len(joints) > 1 and not joints[:, 2].any():
         raise InputError(
@@ -64,20 +63,8 @@ def read(folder: Path) -> TrackingRecord:
             "with use_flame2023=True, whose FLAME has no jaw; track the video again with use_flame2023=False"
         )
     shape, notes = frames.identity()
-    record = TrackingRecord(
-        numbers=np.array(frames.numbers, dtype=np.int64),
-        width=int(width),
-        height=int(height),
-        intrinsics=frames.stacked("intrinsics"),
-        world_to_camera=frames.stacked("world_to_camera"),
-        expression=frames.stacked("expression"),
-        joint_rotations=joints,
-        eyelids=frames.stacked("eyelids"),
-        translation=np.zeros((len(joints), 3)),
-        shape=shape,
-        notes=(*frames.notes, *notes, *_notes(joints, frames.stacked("eyelids"))),
-    )
-    return without_bad_frames(folder, record)
+    notes = (*notes, *_notes(joints, frames.stacked("eyelids")))
+    return without_bad_frames(folder, frames.record(notes, shape=shape))
 
 
 def _notes(joints: np.ndarray, lids: np.ndarray) -> tuple[str, ...]:

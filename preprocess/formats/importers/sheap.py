@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from ggavatar.errors import InputError
-from ggavatar.io.frame_names import frame_numbers
 from ggavatar.io.npz import write_npz
 from preprocess.formats.array_files import array_names, read_arrays
 from preprocess.formats.array_table import ArrayTable, Assume
-from preprocess.formats.frame_set import Frame, FrameSet, read_frames, read_rows
+from preprocess.formats.frame_set import Frame, FrameSet, read_rows
 from preprocess.formats.json_fields import camera_matrix
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
-from preprocess.formats.weak_perspective import code_places
+from preprocess.formats.weak_perspective import code_places, read_codes
 
 TITLE = "SHeaP: an npz, pickle or torch file with shape_from_facenet, expr, torso_pose, jaw_pose, cam_trans"
 SIDE = 224
@@ -76,9 +75,7 @@ def _frames(path: Path) -> tuple[FrameSet, tuple[str, ...]]:
         places = code_places(path, _NEEDED) or code_places(path, frozenset({"cam_trans"}))
         if not places:
             raise InputError(f"{path}: expected {TITLE}; save the dictionary `predictions` of SHeaP's demo")
-        found = frame_numbers(list(places), path)
-        names, notes = found.by_number(list(places)), found.notes
-        return read_frames(path, {number: places[name] for number, name in names.items()}, _single), notes
+        return read_codes(path, places, _single)
     values = read_arrays(path, _KEYS)
     lengths = {len(value) for value in values.values() if isinstance(value, np.ndarray) and value.ndim == 2}
     if len(lengths) != 1 or not 1 <= min(lengths) <= 200_000:

@@ -74,21 +74,11 @@ def read(folder: Path) -> TrackingRecord:
     }
     readers = {number: (file, partial(_read_entry, *chosen[number], file)) for number, file in sorted(files.items())}
     frames = collect_frames(folder, readers)
-    height, width = frames.stacked("size")[0]
-    notes = [f"camera {camera} of {len(cameras)} is used"] if len(cameras) > 1 else []
-    record = TrackingRecord(
-        numbers=np.array(frames.numbers, dtype=np.int64),
-        width=int(width),
-        height=int(height),
-        intrinsics=frames.stacked("intrinsics"),
-        world_to_camera=frames.stacked("world_to_camera"),
-        expression=frames.stacked("expression"),
-        joint_rotations=frames.stacked("joint_rotations"),
-        eyelids=np.zeros((len(frames.numbers), 2)),
-        translation=frames.stacked("translation"),
+    notes = (f"camera {camera} of {len(cameras)} is used",) if len(cameras) > 1 else ()
+    record = frames.record(
+        notes,
         shape=frames.frames[0]["shape"],
         version="flame2023",
-        notes=(*notes, *frames.notes),
         extra=_static_offset(files[frames.numbers[0]]),
     )
     return without_bad_frames(folder, record)

@@ -16,6 +16,7 @@ import torch
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from preprocess.formats.importers import deca, imavatar, metrical_tracker, nerface, nerfblendshape, vhap
+from preprocess.formats.json_fields import listed_numbers
 from preprocess.formats.registry import detect_format, importer, importer_names
 from preprocess.options import PrepOptions
 from preprocess.tracking.geometry.projection import posed_vertices, project
@@ -256,3 +257,12 @@ def test_options_swap_the_size(tmp_path):
     folder = written("metrical_tracker", tmp_path, moving_record(2, (128, 96)))
     options = PrepOptions(tmp_path, tmp_path / "o", tracking=folder, fix=("swapped-size",))
     assert (read_tracking_record(options)[1].width, read_tracking_record(options)[1].height) == (96, 128)
+
+
+def test_listed_names_follow_the_one_rule_for_numbers(tmp_path):
+    """Two cameras listed in one file: the last digits of a name used to be the frame, so that cameras mixed."""
+    names = [f"./images/{frame:05d}_{camera:02d}" for frame in (3, 4, 7) for camera in (0, 1)]
+    found = listed_numbers(tmp_path, names)
+    assert found.numbers == (3, None, 4, None, 7, None) and "camera 0 is used" in found.notes[0]
+    with pytest.raises(InputError, match="with the frame number in it, found None"):
+        listed_numbers(tmp_path, ["a/1", None])
