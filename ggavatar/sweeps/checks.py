@@ -10,7 +10,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps.cell import Cell
 from ggavatar.training.run_folder import RunConfig, read_config
-from ggavatar.training.session import configure
+from ggavatar.training.session import configure, with_settled_features
 
 SHARED_FLAGS = ("preset", "steps", "max_gaussians", "split")
 """Flags that an earlier run in the same folder must have been trained with."""
@@ -36,6 +36,14 @@ def check_cells(cells: Sequence[Cell], options: Mapping[str, Any]) -> None:
             configured[key], _ = configure(capture, {**options, "method": cell.method})
         if cell.has_begun:
             _check_earlier(cell, configured[key], options)
+    for config in {_features(config): config for config in configured.values()}.values():
+        with_settled_features(config)  # fetched or refused once, before the first training
+
+
+def _features(config: RunConfig) -> object:
+    """What decides which perceptual features a training needs."""
+    settings = config.method_config
+    return settings.get("perceptual_features") if settings.get("perceptual_weight") else None
 
 
 def _opened(folder: Path, opened: Mapping[Path, Capture]) -> Capture:

@@ -60,8 +60,6 @@ class RunConfig:
     """The rasterizer, as in `ggavatar.render.backends`."""
     preset: str = "default"
     """The preset that the other values were derived from."""
-    settings: tuple[str, ...] = ()
-    """Settings of the method that were changed by name after that, as field=value."""
     training: TrainingPlan = field(default_factory=TrainingPlan)
     """Settings of the training loop."""
     method_config: dict[str, Any] = field(default_factory=dict)

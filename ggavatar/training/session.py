@@ -20,6 +20,7 @@ from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
+from ggavatar.training.changed_settings import changed_settings
 from ggavatar.training.plan import TrainingPlan, preset
 from ggavatar.training.progress import ConsoleListener, Listener, NullListener
 from ggavatar.training.provenance import outcome_of, provenance_of
@@ -84,6 +85,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             overwrite = bool(options.get("overwrite"))
             config, split = configure(capture, options)
             check_run_folder(output, overwrite)
+            config = with_settled_features(config)
             trainer = make_trainer(output, config, capture, split)
             output.mkdir(parents=True, exist_ok=True)  # the input is usable: a failed start leaves nothing behind
             with lock_folder(output):
@@ -152,9 +154,8 @@ def configure(capture: Capture, options: Mapping[str, Any]) -> tuple[RunConfig, 
         device=device,
         backend=options.get("backend", "auto"),
         preset=chosen,
-        settings=tuple(options.get("set", ())),
         training=training,
-        method_config=dataclasses.asdict(with_features(method.config(chosen, options.get("set", ())))),
+        method_config=dataclasses.asdict(method.config(chosen, options.get("set", ()))),
     )
     return config, split
 
@@ -174,8 +175,8 @@ def with_budget(plan: TrainingPlan, method: Method, capture: Capture, by_name: b
     return dataclasses.replace(plan, max_gaussians=max(plan.max_gaussians, least))
 
 
-def with_features(settings: Any) -> Any:
-    """A method's settings with the perceptual features that this training compares instead of the `best` there are.
+def with_settled_features(config: RunConfig) -> RunConfig:
+    """The configuration with the perceptual features that this training compares instead of the `best` there are.
 
     They are loaded, and fetched if need be, before a run is begun: a training neither fails at its first perceptual
     step nor resumes with other features.
@@ -183,24 +184,25 @@ def with_features(settings: Any) -> Any:
     Raises:
         InputError: The settings ask for VGG16 and it cannot be had.
     """
-    if not getattr(settings, "perceptual_weight", 0.0) or not hasattr(settings, "perceptual_features"):
-        return settings
+    settings = config.method_config
+    if not settings.get("perceptual_weight") or "perceptual_features" not in settings:
+        return config
     try:
-        features = perceptual_loss(settings.perceptual_features).name
+        features = perceptual_loss(settings["perceptual_features"]).name
     except ModelUnavailable as missing:
         raise InputError(
             f"{missing}. To train with untrained features instead, which every table will say: --set "
             "perceptual_features=random"
         ) from missing
-    return dataclasses.replace(settings, perceptual_features=features)
+    return dataclasses.replace(config, method_config={**settings, "perceptual_features": features})
 
 
 def describe(config: RunConfig) -> str:
     """One line that says what is trained: method, preset, changed settings, length, and perceptual features."""
     settings = config.method_config
     parts = [f"{config.method}, preset {config.preset}", f"{config.training.steps:,} steps", f"seed {config.seed}"]
-    if config.settings:
-        parts.insert(1, "with " + ", ".join(config.settings))
+    if changed := changed_settings(config):
+        parts.insert(1, "with " + ", ".join(f"{name}={value}" for name, value in changed.items()))
     if settings.get("perceptual_weight"):
         parts.append(f"perceptual loss on {settings.get('perceptual_features')} features")
     return ", ".join(parts)

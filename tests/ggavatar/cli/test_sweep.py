@@ -15,6 +15,8 @@ import pytest
 
 from ggavatar.cli import sweep, train
 from ggavatar.data.capture import Capture
+from ggavatar.losses.vgg import PerceptualLoss, random_weights
+from ggavatar.pretrained.resolve import ModelUnavailable
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
@@ -81,6 +83,28 @@ def test_everything_is_checked_before_the_first_training(
     shown = capfd.readouterr().err
     assert message in shown and "Traceback" not in shown
     assert not out.exists()
+
+
+@pytest.mark.usefixtures("no_training")
+def test_perceptual_features_are_settled_once_before_the_first_training(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sweep of many cells neither loads the network for each nor fails in its last one."""
+    asked: list[str] = []
+
+    def load(features: str) -> PerceptualLoss:
+        asked.append(features)
+        if features == "vgg16":
+            raise ModelUnavailable("no VGG16 here")
+        return PerceptualLoss("random", random_weights(0))
+
+    monkeypatch.setattr("ggavatar.training.session.perceptual_loss", load)
+    grid = [toy_capture.folder, "--methods", "ggavatar", "flash_avatar", "gaussian_avatars", "--seeds", "1", "2"]
+    with pytest.raises(pytest.fail.Exception, match="a training was started"):
+        run(monkeypatch, *grid, "-o", tmp_path / "out")
+    assert asked == ["best"]
+    assert run(monkeypatch, *grid, "--preset", "paper", "-o", tmp_path / "out") == 2
+    assert "--set perceptual_features=random" in capsys.readouterr().err and asked == ["best", "vgg16"]
 
 
 @pytest.mark.usefixtures("no_training")

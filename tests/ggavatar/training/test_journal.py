@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 from pathlib import Path
 
 import pytest
@@ -27,13 +27,20 @@ def test_journal_forgets_what_lies_beyond_the_checkpoint_and_torn_lines(tmp_path
     assert path.stat().st_ino == inode
 
 
-def test_a_kill_while_it_is_opened_loses_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It used to be rewritten: a kill between the truncation and the writing emptied it."""
+def test_it_is_never_emptied_to_be_rewritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It used to be: a kill between the truncation and the writing lost every line."""
     path = tmp_path / "train.jsonl"
     lines = "".join(f'{{"step": {step}}}\n' for step in range(1, 200))
     path.write_text(lines)
-    monkeypatch.setattr(os, "write", None)
+    plain, modes = io.open, []
+
+    def watched(file: object, mode: str = "r", *arguments: object, **named: object) -> object:
+        modes.append(mode)
+        return plain(file, mode, *arguments, **named)
+
+    monkeypatch.setattr(io, "open", watched)  # what pathlib opens files with, in write_text too
     Journal(path, 150).close()
+    assert modes and not any("w" in mode for mode in modes)
     assert path.read_text() == lines[: lines.index('{"step": 151}')]
 
 

@@ -15,7 +15,7 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.training.run_folder import choose_split, open_run, read_config
-from ggavatar.training.session import configure, describe, train_run
+from ggavatar.training.session import configure, describe, train_run, with_settled_features
 
 OPTIONS: dict[str, Any] = {"steps": 6, "save_every": 3, "device": "cpu", "set": ["perceptual_weight=0"]}
 
@@ -131,11 +131,6 @@ def test_a_budget_below_the_triangles_is_refused_before_anything_is_written(
     assert train_run(toy_capture.folder, tmp_path / "run", {**options, "max_gaussians": faces}, quiet=True) == 2
 
 
-def test_settings_by_name_are_recorded(toy_capture: Capture) -> None:
-    config, _ = configure(toy_capture, {"method": "ggavatar", "device": "cpu", "set": ["scale_rate=0.5"]})
-    assert config.settings == ("scale_rate=0.5",) and config.method_config["scale_rate"] == 0.5
-
-
 @pytest.mark.parametrize(
     "method", ["flash_avatar", "gaussian_avatars", "gaussian_blendshapes", "ggavatar_plus", "point_avatar"]
 )
@@ -152,16 +147,17 @@ def test_the_features_that_are_compared_are_settled_before_the_training(
 ) -> None:
     """Without VGG16 `best` becomes `random` in the run's settings; the paper's preset refuses unless told by name."""
     monkeypatch.setattr("ggavatar.losses.vgg.resolve", _unavailable)
-    config, _ = configure(toy_capture, {"method": "ggavatar", "device": "cpu"})
+    config = with_settled_features(configure(toy_capture, {"method": "ggavatar", "device": "cpu"})[0])
     assert config.method_config["perceptual_features"] == "random"
     assert describe(config).endswith("seed 42, perceptual loss on random features")
     paper = {"method": "ggavatar", "device": "cpu", "preset": "paper"}
     with pytest.raises(InputError, match="--set perceptual_features=random"):
         train_run(toy_capture.folder, tmp_path / "run", paper, quiet=True)
     assert not (tmp_path / "run").exists()
-    config, _ = configure(toy_capture, {**paper, "set": ["perceptual_features=random"]})
+    wish = {**paper, "set": ["perceptual_features=random", "scale_rate=0.5"]}
+    config = with_settled_features(configure(toy_capture, wish)[0])
     assert config.method_config["perceptual_features"] == "random"
-    assert describe(config).startswith("ggavatar, preset paper, with perceptual_features=random, 120,000 steps")
+    assert describe(config).startswith("ggavatar, preset paper, with scale_rate=0.5, 120,000 steps")
 
 
 def _unavailable(*_: object, **__: object) -> Path:
