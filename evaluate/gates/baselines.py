@@ -94,8 +94,8 @@ def read_baselines(path: Path) -> list[Baseline]:
     """
     if not path.is_dir():
         return _read_file(path)
-    files = [path / METRICS_FILE] if (path / METRICS_FILE).is_file() else sorted(path.glob(f"eval/*/{METRICS_FILE}"))
-    files = files or sorted(path.glob("results/*.json"))
+    own = [path / METRICS_FILE] if (path / METRICS_FILE).is_file() else []
+    files = own + sorted(path.glob(f"eval/*/{METRICS_FILE}")) or sorted(path.glob("results/*.json"))
     if not files:
         raise InputError(
             f"{path}: expected a run that was scored, an evaluation folder or a {METRICS_FILE}, found neither; score "
