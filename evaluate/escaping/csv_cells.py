@@ -17,7 +17,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?%?"
 _NUMBERS = re.compile(rf"{_NUMBER}(?: ± {_NUMBER})?(?: \[{_NUMBER}, {_NUMBER}\])?\*?|[-+]?(?:inf|nan)")
 """A number, also with its deviation or interval as in our tables: nothing that a program could compute."""
 
-_FORMULA = re.compile(r"""["'\s]*[=+\-@＝＋－＠]""")
+_FORMULA = re.compile(r"""(?:^|(?<=;))["'\s]*[=+\-@＝＋－＠]""")
 """The start of a formula, also in the full-width characters that Excel takes for the same."""
 
 
@@ -26,12 +26,8 @@ def csv_cell(text: str) -> str:
 
     That is at its start, and after semicolons, which separate cells in many countries.
     """
-    return ";".join(_as_text(part) for part in displayable(text).split(";"))
-
-
-def _as_text(part: str) -> str:
-    harmless = _NUMBERS.fullmatch(part.strip()) or not _FORMULA.match(part)
-    return part if harmless else f"'{part}"
+    shown = displayable(text)
+    return shown if _NUMBERS.fullmatch(shown) else _FORMULA.sub(r"'\g<0>", shown)
 
 
 def csv_text(rows: Iterable[Sequence[str | float | None]]) -> str:
