@@ -44,6 +44,7 @@ COMMANDS = {
 MISSING = frozenset("ĦħĸĿŀŉŦŧſ")
 """Letters up to U+017F that the T1 encoding does not have (LaTeX's t1enc.dfu)."""
 
+_SPECIAL = re.compile(r"[^A-Za-z0-9 .,:;()/+=]")
 _LIGATURES = re.compile(r"(?<=[-`'!?,])(?=[-`',])")
 
 
@@ -55,7 +56,11 @@ def latex_text(text: str) -> str:
     """
     composed = unicodedata.normalize("NFC", displayable(text))
     signed = re.sub(r"(?<![\w-])-(?=\d)", "−", composed)
-    return "".join(map(_letter, _LIGATURES.sub("\0", signed)))
+    return _SPECIAL.sub(_in_tex, _LIGATURES.sub("\0", signed))
+
+
+def _in_tex(found: re.Match[str]) -> str:
+    return _letter(found[0])
 
 
 def _letter(letter: str) -> str:

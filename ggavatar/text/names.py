@@ -25,24 +25,29 @@ JOINERS = "\u200c\u200d"
 """Invisible characters that spell words of Persian and Indian languages and join emoji."""
 
 _FILLERS = "\u115f\u1160\u3164\uffa0"  # letters of Hangul that have no shape
-_SURROGATES = "\ud800-\udfff"
-_NONCHARACTERS = "\ufdd0-\ufdef" + "".join(
-    f"{chr(plane + 0xFFFE)}{chr(plane + 0xFFFF)}" for plane in range(0, 0x110000, 0x10000)
+_FORMATS = (
+    "\xad\u061c\u180e\u200b\u200e\u200f\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
+    "\U0001bca0-\U0001bca3\U0001d173-\U0001d17a\U000e0000-\U000e007f"
 )
+_SURROGATES = "\ud800-\udfff"
+_LAST_OF_PLANES = (chr(plane | 0xFFFE) + chr(plane | 0xFFFF) for plane in range(0, 0x110000, 0x10000))
+_NONCHARACTERS = "\ufdd0-\ufdef" + "".join(_LAST_OF_PLANES)
 _SPACES = re.compile(r"\s+")
 NOT_TEXT = re.compile(f"[\0-\x1f\x7f-\x9f{_SURROGATES}{_NONCHARACTERS}]")
 """Control characters, halves of surrogate pairs (which stand for undecodable bytes of file names), noncharacters."""
+
+INVISIBLE = re.compile(f"[{_FILLERS}{_FORMATS}]")
+"""Characters without a shape: Unicode's Cf without joiners and the signs that enclose digits or hieroglyphs, and
+Hangul's fillers. Those of direction change the order in which others are shown."""
 
 
 def displayable(text: str) -> str:
     """The text on one line, without characters that steer the program that shows it.
 
-    White space, line breaks included, becomes single spaces, and what is `NOT_TEXT` becomes U+FFFD. Invisible format
-    characters, such as those that reverse the direction of what follows, are left out, except `JOINERS`.
+    White space, line breaks included, becomes single spaces, what is `NOT_TEXT` becomes U+FFFD, and what is `INVISIBLE`
+    is left out.
     """
-    if not text.isascii():
-        text = "".join(letter for letter in text if letter in JOINERS or not is_invisible(letter))
-    return NOT_TEXT.sub(REPLACEMENT, _SPACES.sub(" ", text).strip())
+    return NOT_TEXT.sub(REPLACEMENT, _SPACES.sub(" ", INVISIBLE.sub("", text)).strip())
 
 
 def clean_name(text: str) -> str:
@@ -66,11 +71,6 @@ def clean_values(value: Any) -> Any:
     if isinstance(value, dict):
         return {clean_text(key) if isinstance(key, str) else key: clean_values(entry) for key, entry in value.items()}
     return [clean_values(entry) for entry in value] if isinstance(value, list) else value
-
-
-def is_invisible(letter: str) -> bool:
-    """Whether a character has no shape but may change how others are shown (joiners are also such)."""
-    return letter in _FILLERS or unicodedata.category(letter) == "Cf"
 
 
 def _shortened(text: str, limit: int) -> str:
