@@ -1,4 +1,4 @@
-"""The strip of dropped frames: any reason in OpenCV's characters, and a bounded height. The sheet: test_diagnosis.py."""
+"""The strip of dropped frames: any reason in OpenCV's characters, and a bounded height."""
 
 from __future__ import annotations
 
