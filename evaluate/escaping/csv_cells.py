@@ -24,7 +24,7 @@ _FORMULA = re.compile(r"""(?:^|(?<=;))["'\s]*[=+\-@＝＋－＠]""")
 def csv_cell(text: str) -> str:
     """The text, with an apostrophe wherever a spreadsheet program would begin to read a formula.
 
-    That is at its start, and after semicolons, which separate cells in many countries.
+    A formula may begin at its start, and after semicolons, which separate cells in many countries.
     """
     shown = displayable(text)
     return shown if _NUMBERS.fullmatch(shown) else _FORMULA.sub(r"'\g<0>", shown)

@@ -51,8 +51,8 @@ _LIGATURES = re.compile(r"(?<=[-`'!?,])(?=[-`',])")
 def latex_text(text: str) -> str:
     """The text for a paragraph, a cell or a caption, with a true minus sign before numbers.
 
-    Of letters that T1 lacks, the part that it has is kept (ễ becomes ê); anything else becomes a question mark, so that
-    the file compiles.
+    A letter that T1 lacks keeps the part that T1 has (ễ becomes ê); anything else becomes a question mark, so that the
+    file compiles.
     """
     composed = unicodedata.normalize("NFC", displayable(text))
     signed = re.sub(r"(?<![\w-])-(?=\d)", "−", composed)
