@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.io.npz import read_npz
+from ggavatar.head.expression_axes import names_without_file
+from ggavatar.io.npz import npz_headers, read_npz
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ class DrivingSequence:
         fps: Frames per second of the source.
         joint_names: Names as in the head model.
         head_version: Version tag of the parameter space.
+        axis_names: What each coefficient means, as in the head model; empty if unknown.
+        scores: ARKit's expression scores of the frames in the order of `ggavatar.landmarks.blendshapes.NAMES`, NaN in
+            frames without a face; None if they were not measured.
     """
 
     expression: Float[np.ndarray, "T E"]
@@ -63,6 +67,8 @@ class DrivingSequence:
     fps: float
     joint_names: tuple[str, ...]
     head_version: str
+    axis_names: tuple[str, ...] = ()
+    scores: Float[np.ndarray, "T 52"] | None = None
 
     def rows(self, chosen: np.ndarray | slice) -> DrivingSequence:
         """The sequence restricted to some frames."""
@@ -74,6 +80,7 @@ class DrivingSequence:
             translation=self.translation[chosen],
             cameras=self.cameras and self.cameras.rows(chosen),
             frames=tuple(np.array(self.frames)[chosen].tolist()),
+            scores=None if self.scores is None else self.scores[chosen],
         )
 
     def row(self, frame: int) -> int:
@@ -86,7 +93,7 @@ class DrivingSequence:
 def driving_sequence_of(capture: Capture) -> DrivingSequence:
     """The tracking of a capture as a driving sequence."""
     tracking = capture.tracking
-    names = read_npz(capture.head_path, ["joint_names"])["joint_names"]
+    names = _head_names(capture)
     return DrivingSequence(
         expression=tracking.expression.astype(np.float64),
         joint_rotations=tracking.joint_rotations.astype(np.float64),
@@ -99,9 +106,18 @@ def driving_sequence_of(capture: Capture) -> DrivingSequence:
         ),
         frames=capture.frames,
         fps=capture.fps,
-        joint_names=tuple(str(name) for name in names),
+        joint_names=names["joint_names"],
         head_version=capture.head_version,
+        axis_names=names["expression_names"],
     )
+
+
+def _head_names(capture: Capture) -> dict[str, tuple[str, ...]]:
+    """Names of joints and expression axes, read without the rest of the head."""
+    present = [key for key in ("joint_names", "expression_names") if key in npz_headers(capture.head_path)]
+    found = {key: tuple(str(name) for name in value) for key, value in read_npz(capture.head_path, present).items()}
+    older = names_without_file(capture.head_version, capture.tracking.expression.shape[1])
+    return {"expression_names": older, **found}
 
 
 def read_driving_sequence(path: Path) -> DrivingSequence:

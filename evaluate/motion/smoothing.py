@@ -62,3 +62,12 @@ def smoothed(values: Float[np.ndarray, "T D"], method: str, fps: float) -> Float
     if method == "savgol":
         return savgol(values)
     raise ValueError(f"expected a smoothing method of {METHODS}, got {method!r}")
+
+
+def interpolated(values: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "T D"]:
+    """Values with the rows that are not finite filled linearly from those around them."""
+    known = np.isfinite(values).all(axis=1)
+    if known.all() or not known.any():
+        return values
+    rows = np.arange(len(values))
+    return np.stack([np.interp(rows, rows[known], column[known]) for column in values.T], axis=1)
