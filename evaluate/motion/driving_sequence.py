@@ -11,8 +11,16 @@ from jaxtyping import Float
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.formats.arkit_recording import (
+    ARKIT_NAMES,
+    DEFAULT_FPS,
+    ArkitRecording,
+    is_arkit_recording,
+    read_arkit_recording,
+)
 from ggavatar.head.expression_axes import names_without_file
 from ggavatar.io.npz import npz_headers, read_npz
+from ggavatar.landmarks.blendshapes import NAMES
 
 
 @dataclass(frozen=True)
@@ -120,16 +128,42 @@ def _head_names(capture: Capture) -> dict[str, tuple[str, ...]]:
     return {"expression_names": older, **found}
 
 
+def driving_sequence_of_scores(recording: ArkitRecording) -> DrivingSequence:
+    """A recording of ARKit's scores: a face without a head, whose pose stays that of the avatar at rest."""
+    recording = recording.resampled(DEFAULT_FPS)
+    count = len(recording.times)
+    scores = np.zeros((count, len(NAMES)))
+    for column, name in enumerate(NAMES):
+        if name in ARKIT_NAMES:
+            scores[:, column] = recording.scores[:, ARKIT_NAMES.index(name)]
+    return DrivingSequence(
+        expression=np.zeros((count, 0)),
+        joint_rotations=np.zeros((count, 0, 3)),
+        eyelids=np.zeros((count, 2)),
+        translation=np.zeros((count, 3)),
+        cameras=None,
+        frames=tuple(range(count)),
+        fps=DEFAULT_FPS,
+        joint_names=(),
+        head_version="arkit",
+        scores=scores,
+    )
+
+
 def read_driving_sequence(path: Path) -> DrivingSequence:
-    """Read a driving sequence from a capture folder or an .npz file (docs/rendering.md).
+    """Read a driving sequence: a capture folder, an .npz file, or a recording of ARKit's scores (docs/rendering.md).
 
     Raises:
         InputError: Neither of the two, or an array is missing, has the wrong shape or is not finite.
     """
     if path.is_dir():
         return driving_sequence_of(Capture.open(path))
+    if is_arkit_recording(path):
+        return driving_sequence_of_scores(read_arkit_recording(path))
     if path.suffix.lower() != ".npz":
-        raise InputError(f"{path}: expected a capture folder or an .npz file of head parameters")
+        raise InputError(
+            f"{path}: expected a capture folder, an .npz file of head parameters, or a recording of ARKit's scores"
+        )
     arrays = read_npz(path)
     count = len(_array(path, arrays, "expression", (None, None)))
     names = tuple(str(name) for name in np.atleast_1d(arrays.get("joint_names", np.array([], str))))

@@ -77,7 +77,9 @@ def face_of(sequence: DrivingSequence, rest_row: int | None = None) -> Face:
         rest = codes[neutral_row(sequence) if rest_row is None else rest_row]
         return Face(layout, codes, None, None, covariance, rest, np.zeros(len(SCORES)))
     known = np.isfinite(scores).all(axis=1)
-    mapped = fit_score_map(codes[known], scores[known], expected_slopes(layout)) if sequence.expression.shape[1] else None
+    mapped = None
+    if sequence.expression.shape[1]:
+        mapped = fit_score_map(codes[known], scores[known], expected_slopes(layout))
     rest_scores = _scores_at_rest(scores[known])
     if rest_row is not None:
         rest_scores = scores[rest_row] if known[rest_row] else rest_scores
@@ -142,7 +144,7 @@ def _codes_at_rest(
     covariance: Float[np.ndarray, "K K"],
     rest_scores: Float[np.ndarray, " S"],
 ) -> Float[np.ndarray, " K"]:
-    """The most likely codes that lead to the scores at rest; a priori they are zero, and eyes look where they often do."""
+    """The most likely codes that lead to the scores at rest; a priori zero, and eyes that look where they often do."""
     start = np.median(codes, axis=0)
     start[: len(layout.expressions)] *= not layout.zero_is_rest
     start[layout.columns("joint jaw")] = 0.0

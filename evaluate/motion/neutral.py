@@ -45,6 +45,6 @@ def turn_from_camera(sequence: DrivingSequence) -> np.ndarray:
         if name in sequence.joint_names:
             heads = heads * Rotation.from_rotvec(sequence.joint_rotations[:, sequence.joint_names.index(name)])
     if sequence.cameras is None:
-        return (heads * heads.mean().inv()).magnitude()
+        return np.asarray((heads * heads.mean().inv()).magnitude())
     views = Rotation.from_matrix(sequence.cameras.world_to_camera[:, :3, :3])
-    return (Rotation.from_matrix(TOWARDS_CAMERA).inv() * views * heads).magnitude()
+    return np.asarray((Rotation.from_matrix(TOWARDS_CAMERA).inv() * views * heads).magnitude())

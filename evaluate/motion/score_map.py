@@ -1,7 +1,7 @@
 """The map from one person's facial codes to ARKit's expression scores, learned from the person's own frames.
 
-The network that measures the scores ends in a sigmoid, so their logits are nearly linear in the face's motion, where the
-scores themselves saturate: a low brow raised by half has the score of one that is not raised at all.
+The network that measures the scores ends in a sigmoid, so their logits are nearly linear in the face's motion, where
+the scores themselves saturate: a low brow raised by half has the score of one that is not raised at all.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def _smoothing_factor(cutoff: float | np.ndarray, fps: float) -> float | np.ndar
     return radians / (1 + radians)
 
 
-def savgol(values: Float[np.ndarray, "T D"], window: int = 7, order: int = 2) -> Float[np.ndarray, "T D"]:
+def savgol(values: Float[np.ndarray, "T D"], window: int = 5, order: int = 2) -> Float[np.ndarray, "T D"]:
     """Least-squares polynomial in a sliding window (Savitzky and Golay 1964): no lag, exact for polynomials of `order`.
 
     Short clips use the largest odd window that fits; clips too short for that are returned unchanged.

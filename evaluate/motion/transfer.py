@@ -37,7 +37,7 @@ class TransferOptions:
     expression: str = "matched"
     pose: str = "relative"
     smooth: str = "savgol"
-    margin: float | None = 1.0
+    margin: float | None = 3.0
 
 
 def transfer_performance(
