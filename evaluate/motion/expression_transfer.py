@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from evaluate.motion.face import Face, conditioned, logit_variance
+from evaluate.motion.face import SATURATED, Face, conditioned, logit_variance
 from evaluate.motion.score_map import score_logits
 from evaluate.motion.smoothing import interpolated
 from ggavatar.errors import InputError
@@ -38,7 +38,7 @@ def carry_over(driver: Face, target: Face) -> Float[np.ndarray, "T K"]:
     noise = (SHARED_NOISE * spread + LEAST_NOISE) ** 2
     observe = np.concatenate((target.score_map.slopes, select))
     at_rest = target.score_map.logits(target.rest)
-    wanted = np.clip(interpolated(driver.scores) - driver.rest_scores + target.rest_scores, 0, 1)
+    wanted = np.clip(interpolated(driver.scores) - driver.rest_scores + target.rest_scores, 0, 1 - SATURATED)
     codes = []
     for scores, change in zip(wanted, changes, strict=True):
         observed = np.concatenate((score_logits(scores) - at_rest, change))

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from evaluate.motion.driving_sequence import DrivingSequence
 from evaluate.motion.facial_codes import FacialLayout, facial_codes, facial_layout
 from evaluate.motion.neutral import neutral_row
-from evaluate.motion.score_map import SMALLEST_SCORE, ScoreMap, fit_score_map, score_logits
+from evaluate.motion.score_map import ScoreMap, fit_score_map, score_logits
 from ggavatar.landmarks.blendshapes import NAMES
 
 SCORES = NAMES[1:]
@@ -35,6 +35,8 @@ _NAMED_AFTER = {
 """Scores that joints and lids stand for, with the change of their logit per rad or unit."""
 FULL_EXPRESSION = 5.0
 """Change of a score's logit per unit of the axis that is named after it; measured 3 (brows) to 6 (smile)."""
+SATURATED = 0.02
+"""Scores nearer to 0 or 1 tell as much as this one."""
 SCORE_NOISE = 0.1
 """Standard deviation of a measured score about the truth."""
 
@@ -117,8 +119,8 @@ def conditioned(
 
 
 def logit_variance(mapped: ScoreMap, scores: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
-    """Variance of the logits of measured scores about those that a map predicts: large where a score is saturated."""
-    bounded = np.clip(scores, SMALLEST_SCORE, 1 - SMALLEST_SCORE)
+    """Variance of the logits of measured scores about those that a map predicts: larger towards 0 and 1, to a limit."""
+    bounded = np.clip(scores, SATURATED, 1 - SATURATED)
     return mapped.deviation**2 + (SCORE_NOISE / (bounded * (1 - bounded))) ** 2
 
 

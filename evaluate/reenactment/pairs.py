@@ -12,7 +12,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
-from ggavatar.training.run_folder import open_run
+from ggavatar.training.run_folder import holds_run, open_run
 
 Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
 """Shows a progress bar with a title while the context is open."""
@@ -24,7 +24,7 @@ def measure_pairs(options: Options, show_progress: Progress) -> list[Reenactment
     Raises:
         InputError: There is no run, or a driver cannot be used.
     """
-    folders = [path for path in options.runs if not is_gaussian_file(path) and (path / "config.json").is_file()]
+    folders = [path for path in options.runs if not is_gaussian_file(path) and holds_run(path)]
     if not folders:
         raise InputError("--reenact drives avatars: expected run folders of ggavatar-train, found none")
     finder, found = ModelFinder(options.models, options.offline), []
