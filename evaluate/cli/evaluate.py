@@ -23,7 +23,7 @@ from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.protocols.setup import Setup
 from evaluate.scoring.accumulator import flat_notes
-from evaluate.scoring.frame_pairs import pair_folders
+from evaluate.scoring.frame_pairs import pair_folders, region_names
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
 from evaluate.tables.paper_aligned import parse_paper_subjects
@@ -33,6 +33,8 @@ from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
 from ggavatar.pretrained.resolve import ModelFinder
+from ggavatar.text.names import clean_name
+from ggavatar.text.terminal import write_err, write_out
 
 WIDTH = 160
 """Width of a table that is not printed on a terminal, characters."""
@@ -70,11 +72,10 @@ def _evaluate(options: Options) -> int:
         written.append(options.gates.write_baseline)
     if not options.quiet:
         for one in evaluations:
-            console.print(headline(one), markup=False, highlight=False)
+            write_out(headline(one))
         for check in checks if not options.gates.github else ():
-            console.print(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}", markup=False)
-        for path in written:
-            console.print(f"wrote {path}", markup=False, highlight=False)
+            write_out(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}")
+        write_out(*(f"wrote {path}" for path in written))
     return _finish(options, evaluations, written, checks)
 
 
@@ -104,7 +105,7 @@ def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
     """One line on stderr for every evaluation with predictions of one color, even with --quiet."""
     for one in evaluations:
         for note in flat_notes(one):
-            sys.stderr.write(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}\n")
+            write_err(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}")
 
 
 def _result_files(evaluated: Sequence[Evaluated], labels: bool, folder: Path) -> list[Path]:
@@ -155,7 +156,7 @@ class ConsoleReporter:
 
     def warn(self, text: str) -> None:
         """One line on stderr, even with --quiet."""
-        sys.stderr.write(f"warning: {text}\n")
+        write_err(f"warning: {text}")
 
 
 def _collect(options: Options) -> tuple[list[Evaluated], list[Path]]:
@@ -218,7 +219,10 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
         raise InputError("expected --pred and --gt")
     protocol = folder_protocol(options)
     pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
-    names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
+    names = (
+        folders.subject or clean_name(folders.gt.resolve().parent.name),
+        folders.method or clean_name(folders.pred.resolve().name),
+    )
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
     labels = Labels(*names, seed=folders.seed, provenance=provenance, setup=Setup("elsewhere"))
     models = ModelFinder(options.models, options.offline)
@@ -236,8 +240,8 @@ def folder_protocol(options: Options) -> Protocol:
     if options.override.regions is not None:
         return protocol
     known: tuple[str, ...] = ("foreground", "boundary") if folders.masks else ()
-    if folders.region_masks and folders.region_masks.is_dir():
-        known += tuple(sorted(path.name for path in folders.region_masks.iterdir() if path.is_dir()))
+    if folders.region_masks:
+        known += tuple(region_names(folders.region_masks))
     return protocol.override(regions=known)
 
 
@@ -281,7 +285,7 @@ def headline(evaluation: Evaluation) -> str:
     for name in evaluation.protocol.table_metrics:
         mean, metric = evaluation.summary(name).mean, metric_of(name)
         means.append(f"{title_of(name)} {'–' if mean is None else f'{mean:.{metric.digits}f}'}")
-    label = " ".join(f"{evaluation.subject} · {display_name(evaluation.method)}".split())
+    label = f"{evaluation.subject} · {display_name(evaluation.method)}"
     return f"scored {label} ({evaluation.setup.describe()}), {evaluation.protocol.id}: {', '.join(means)}"
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-
 import tyro
 
 from evaluate.rendering.options import Options, check
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
+from ggavatar.text.terminal import write_out
 
 
 def main() -> int:
@@ -23,7 +22,6 @@ def main() -> int:
 
         with show_progress("rendering") as progress:
             written = render(options, progress)
-        for path in written:
-            sys.stdout.write(f"{path}\n")
+        write_out(*map(str, written))
 
     return run_command(body)

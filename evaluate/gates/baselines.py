@@ -17,6 +17,7 @@ from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.scoring.touched import require_untouched
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import read_json, write_json
+from ggavatar.text.names import clean_name, clean_values
 
 SCHEMA, VERSION = "ggavatar-baseline", 1
 
@@ -56,9 +57,8 @@ class Baseline:
 
 
 def label_of(subject: str, method: str, seed: int | None) -> str:
-    """A name of an evaluation on one line, whatever characters its parts have."""
-    words = f"{subject}/{method}" + ("" if seed is None else f"/seed {seed}")
-    return " ".join(words.split())
+    """A name of an evaluation."""
+    return f"{subject}/{method}" + ("" if seed is None else f"/seed {seed}")
 
 
 def baseline_of(evaluation: Evaluation) -> Baseline:
@@ -105,7 +105,7 @@ def read_baselines(path: Path) -> list[Baseline]:
 
 
 def _read_file(path: Path) -> list[Baseline]:
-    content = read_json(path, MAX_BYTES)
+    content = clean_values(read_json(path, MAX_BYTES))
     if content.get("schema") == RESULTS_SCHEMA:
         evaluation = read_results(path)
         require_untouched(evaluation, path.parent)
@@ -125,7 +125,8 @@ def _read_file(path: Path) -> list[Baseline]:
 
 
 def _from_dict(values: Mapping[str, Any]) -> Baseline:
-    texts = {name: str(values[name]) for name in ("subject", "method", "protocol", "digest", "ground_truth")}
+    names = {name: clean_name(str(values[name])) for name in ("subject", "method")}
+    texts = {name: str(values[name]) for name in ("protocol", "digest", "ground_truth")}
     means = {str(name): None if mean is None else float(mean) for name, mean in values["means"].items()}
     seed = values["seed"] if values["seed"] is None else int(values["seed"])
-    return Baseline(seed=seed, setup=setup_from_dict(values["setup"]), means=means, **texts)
+    return Baseline(seed=seed, setup=setup_from_dict(values["setup"]), means=means, **names, **texts)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from evaluate.escaping.csv_cells import csv_text
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import pooled_psnr
 from evaluate.protocols.protocol import Protocol, protocol_from_dict
@@ -18,7 +16,8 @@ from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.protocols.statistics import Summary, summarize
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, readable_json
+from ggavatar.text.names import clean_name, clean_values
 
 SCHEMA, VERSION = "ggavatar-evaluation", 1
 METRICS_FILE, FRAMES_FILE = "metrics.json", "per_frame.csv"
@@ -126,27 +125,26 @@ def write_results(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 def to_json(content: Mapping[str, Any]) -> str:
     """Strict, readable JSON with each list of numbers on one line."""
-    lines = [f"  {json.dumps(key)}: {_block(value)}" for key, value in content.items()]
+    lines = [f"  {readable_json(key)}: {_block(value)}" for key, value in content.items()]
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _block(value: Any) -> str:
     """One top-level value: a mapping has one line per key."""
     if not isinstance(value, Mapping) or not value:
-        return json.dumps(value, allow_nan=False, ensure_ascii=False)
-    inner = (f"    {json.dumps(k)}: {json.dumps(v, allow_nan=False, ensure_ascii=False)}" for k, v in value.items())
+        return readable_json(value)
+    inner = (f"    {readable_json(name)}: {readable_json(entry)}" for name, entry in value.items())
     return "{\n" + ",\n".join(inner) + "\n  }"
 
 
 def _to_csv(evaluation: Evaluation) -> str:
     """One line per frame; `inf` for identical images, empty for absent values."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["frame", *evaluation.values])
-    for row, frame in enumerate(evaluation.frames):
-        cells = [column[row] for column in evaluation.values.values()]
-        writer.writerow([frame, *("" if cell is None else repr(float(cell)) for cell in cells)])
-    return stream.getvalue()
+    columns = list(zip(*evaluation.values.values(), strict=True)) or [() for _ in evaluation.frames]
+    lines = [
+        (str(frame), *(None if cell is None else float(cell) for cell in cells))
+        for frame, cells in zip(evaluation.frames, columns, strict=True)
+    ]
+    return csv_text([("frame", *evaluation.values), *lines])
 
 
 def read_results(path: Path) -> Evaluation:
@@ -157,7 +155,7 @@ def read_results(path: Path) -> Evaluation:
     """
     file = path / METRICS_FILE if path.is_dir() else path
     try:
-        content = read_json(file, MAX_BYTES)
+        content = clean_values(read_json(file, MAX_BYTES))
     except InputError as error:
         raise InputError(f"{error}; score the images with ggavatar-eval first") from error
     if content.get("schema") != SCHEMA or content.get("version") != VERSION:
@@ -180,8 +178,8 @@ def _from_dict(content: Mapping[str, Any]) -> Evaluation:
         values[name] = tuple(math.inf if n in infinite else v for n, v in zip(frames, column, strict=True))
     summary = content["summary"]
     return Evaluation(
-        subject=str(content["subject"]),
-        method=str(content["method"]),
+        subject=clean_name(str(content["subject"])),
+        method=clean_name(str(content["method"])),
         protocol=protocol_from_dict(content["protocol"]),
         frames=frames,
         values=values,

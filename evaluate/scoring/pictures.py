@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import torch
 
+from evaluate.escaping.file_names import file_stem
 from evaluate.options import Options
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
@@ -28,6 +28,7 @@ from ggavatar.head.files import load_head
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import write_json
+from ggavatar.text.names import clean_name
 from ggavatar.training.run_folder import RunConfig, find_capture, read_config, read_split
 
 WHITE = (1.0, 1.0, 1.0)
@@ -62,12 +63,13 @@ def find_pictures(options: Options) -> list[Pictures]:
     folders = options.folders
     if folders.pred is not None:
         capture = Capture.open(options.source.capture or Path())
-        return [Pictures(folders.method or folders.pred.resolve().name, folders.pred, capture)]
+        return [Pictures(folders.method or clean_name(folders.pred.resolve().name), folders.pred, capture)]
     known = _subjects(options)
     found: list[Pictures] = []
     for text in folders.pred_as:
         name, folder = parse_named_folder(text)
         label, at, subject = name.partition("@")
+        label, subject = clean_name(label), clean_name(subject)
         if at and subject not in known:
             raise InputError(
                 f"--pred-as {text}: no subject {subject!r}{nearest(subject, known)}; known are {', '.join(known)}"
@@ -167,7 +169,7 @@ def evaluation_folder(pictures: Pictures, options: Options, protocol: Protocol) 
         return own.with_name(f"{own.name}-evaluation") / "eval" / protocol.id
     if options.folders.pred is not None:
         return options.output / "eval" / protocol.id
-    name = re.sub(r"[^A-Za-z0-9._-]", "-", f"{pictures.capture.subject}-{pictures.label}")
+    name = file_stem(f"{pictures.capture.subject}-{pictures.label}")
     return options.output / "pictures" / name / "eval" / protocol.id
 
 

@@ -17,6 +17,7 @@ from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 from ggavatar.formats.splats.file_kinds import SUFFIXES
+from ggavatar.text.terminal import write_out
 
 SUBMISSION = "nersemble-submission"
 SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
@@ -99,7 +100,7 @@ def _export(arguments: Arguments) -> int:
         lines = _export_file(arguments)
     else:
         lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    write_out(*lines)
     return 0
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from ggavatar.cli.process import prepare_output, prepare_process
 from ggavatar.errors import EXIT_FAILURE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_USAGE, GateError, InputError
+from ggavatar.text.terminal import write_err
 
 FEWER = "Use fewer frames, a smaller --size or fewer Gaussians (--max-gaussians)."
 
@@ -50,5 +51,5 @@ def _next_step(code: int | None) -> str:
 
 
 def _report(kind: str, message: object, code: int) -> int:
-    sys.stderr.write(f"{kind}: {message}\n")
+    write_err(f"{kind}: {message}")
     return code

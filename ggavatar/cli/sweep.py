@@ -25,6 +25,7 @@ from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError
 from ggavatar.sweeps.backends import Backend, CellTraining, LocalProcesses, Outcome, RayCluster
 from ggavatar.sweeps.cell import Cell, find_console_script, train_cell
+from ggavatar.text.terminal import write_err, write_out
 from ggavatar.training import registry
 
 PASSED_ON = ("preset", "steps", "split", "device", "background", "max_gaussians")
@@ -89,7 +90,7 @@ def sweep(arguments: Arguments) -> int:
     if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED
     trained = [cell.folder for cell in cells if cell.is_finished]
-    sys.stdout.write(f"{len(trained)} of {len(cells)} cells trained in {arguments.output}\n")
+    write_out(f"{len(trained)} of {len(cells)} cells trained in {arguments.output}")
     sys.stdout.flush()
     evaluated = _evaluate(trained, arguments) if trained and not arguments.train_only else 0
     return EXIT_FAILURE if len(trained) < len(cells) else evaluated
@@ -140,10 +141,10 @@ def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) ->
     missing = {}
     for cell in cells:
         if cell.is_finished:
-            sys.stdout.write(f"already finished: {cell.folder}\n")
+            write_out(f"already finished: {cell.folder}")
         else:
             missing[str(cell.folder)] = cell
-    sys.stdout.write(f"{len(missing)} of {len(cells)} cells to train\n")
+    write_out(f"{len(missing)} of {len(cells)} cells to train")
     sys.stdout.flush()
     outcomes = []
     trainings = [CellTraining(name, functools.partial(train_cell, cell, *settings)) for name, cell in missing.items()]
@@ -156,7 +157,7 @@ def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) ->
 def _report(outcome: Outcome, cell: Cell, done: int, total: int) -> None:
     """Print one line about a cell, on stderr if it failed."""
     if outcome.code == 0 and cell.is_finished:
-        sys.stdout.write(f"{done} of {total}: trained {cell.folder}\n")
+        write_out(f"{done} of {total}: trained {cell.folder}")
         sys.stdout.flush()
         return
     tries = f" after {outcome.attempts} attempts" if outcome.attempts > 1 else ""
@@ -164,7 +165,7 @@ def _report(outcome: Outcome, cell: Cell, done: int, total: int) -> None:
     if outcome.code == 0:
         failure = "trained on another machine, but its run is not found here (all machines must share the folder of -o)"
     detail = f" ({outcome.reason})" if outcome.reason else f"; see {cell.log}"
-    sys.stderr.write(f"{failure}: {cell.folder}{detail}\n")
+    write_err(f"{failure}: {cell.folder}{detail}")
 
 
 def grid(arguments: Arguments) -> list[Cell]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,15 @@ def parse_json(path: Path, text: bytes) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a JSON object, found {type(data).__name__}")
     return data
+
+
+def readable_json(value: Any, indent: int | None = None) -> str:
+    """A value as JSON with letters of every script as they are; NaN and infinity raise `ValueError`.
+
+    Halves of surrogate pairs, which stand for undecodable bytes of file names, are escaped: UTF-8 has none.
+    """
+    text = json.dumps(value, indent=indent, allow_nan=False, ensure_ascii=False)
+    return re.sub("[\ud800-\udfff]", lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:

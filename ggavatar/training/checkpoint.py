@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from torch import Tensor, nn
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import require_folder, write_atomically
 from ggavatar.io.json_files import read_json, write_json
+from ggavatar.text.terminal import write_err
 
 KEPT_CHECKPOINTS = 2
 """Number of complete checkpoints that are kept, the newest ones."""
@@ -97,7 +97,7 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
             raise InputError(f"{folder}: no complete checkpoint{damaged}; train again with ggavatar-train --overwrite")
         step = newest[0]
         for later in sorted(other for other in _steps(folder) if other > step):
-            sys.stderr.write(f"warning: {_path(folder, later)}: damaged; the checkpoint of step {step} is used\n")
+            write_err(f"warning: {_path(folder, later)}: damaged; the checkpoint of step {step} is used")
     record = _record(folder, step, digest=True)
     if record is None:
         available = ", ".join(map(str, complete_steps(folder, limit=None))) or "none"

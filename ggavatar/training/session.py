@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from ggavatar.io.json_files import read_json, write_json
 from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
+from ggavatar.text.terminal import write_out
 from ggavatar.training import registry
 from ggavatar.training.changed_settings import changed_settings
 from ggavatar.training.plan import TrainingPlan, preset
@@ -118,7 +118,7 @@ def _train(trainer: Trainer, done: int, config: RunConfig, capture: Capture, sto
     path = trainer.folder / "provenance.json"
     write_json(path, provenance)
     if not quiet:
-        sys.stdout.write(describe(config) + "\n")
+        write_out(describe(config))
         trainer.listener = ConsoleListener(done, config.training.steps)
     done = trainer.run(done, stop)
     require_folder(trainer.folder)

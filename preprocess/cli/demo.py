@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError
+from ggavatar.text.terminal import write_err, write_out
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,10 @@ def _write(options: DemoOptions) -> None:
     values.pop("overwrite")
     for _ in _with_progress(write_demo(folder, DemoSettings(**values)), options.frames):
         pass
-    sys.stdout.write(
-        f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
-        f"--masks {folder / 'masks'} --head-model {folder / 'head.npz'} --size {options.size} -o capture\n"
+    write_out(
+        f"wrote {folder}",
+        f"next: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
+        f"--masks {folder / 'masks'} --head-model {folder / 'head.npz'} --size {options.size} -o capture",
     )
 
 
@@ -84,5 +85,5 @@ def _with_progress(work: Iterator[int], total: int) -> Iterator[int]:
         return
     for index in work:
         if (index + 1) % max(1, total // 10) == 0 or index + 1 == total:
-            sys.stderr.write(f"rendered {index + 1} of {total} frames\n")
+            write_err(f"rendered {index + 1} of {total} frames")
         yield index

@@ -12,6 +12,7 @@ import tyro
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import GateError
+from ggavatar.text.terminal import write_out
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def _examine(options: DoctorOptions) -> int:
     if options.json:
         sys.stdout.write(json.dumps(diagnosis.json(), default=float) + "\n")
     else:
-        sys.stdout.write("".join(f"{line}\n" for line in report_lines(diagnosis.json())))
+        write_out(*report_lines(diagnosis.json()))
     if options.strict and not diagnosis.healthy:
         raise GateError(f"{options.capture}: the doctor found a fault (--strict)")
     return 0

@@ -10,6 +10,7 @@ from typing import Any
 from ggavatar.data.capture import TRACKING, Capture, Tracking
 from ggavatar.data.capture_schema import read_tracking
 from ggavatar.data.splits import split_frames, split_name
+from ggavatar.text.names import clean_name
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
 
@@ -35,7 +36,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     rules = ["every-20th", *(rule for rule in context.options.split if rule != "every-20th")]
     capture = Capture(
         folder=context.folder,
-        subject=context.options.subject or context.options.input.stem,
+        subject=clean_name(context.options.subject or context.options.input.stem),
         width=crop["out_width"],
         height=crop["out_height"],
         fps=context.results["evidence"]["fps"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -160,7 +161,7 @@ def _digest(path: Path) -> str:
     total = hashlib.sha256()
     for entry in sorted(path.iterdir()):
         if entry.is_file():
-            total.update(entry.name.encode() + b"\0" + entry.read_bytes())
+            total.update(os.fsencode(entry.name) + b"\0" + entry.read_bytes())
     return total.hexdigest()
 
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 from ggavatar.data.capture_schema import RECORDS
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, readable_json
 from preprocess.options import PrepOptions
 
 
@@ -161,5 +161,5 @@ def write_record(
 ) -> None:
     """Record that a stage has started (`result` is None) or finished, with the warnings and notes it reported."""
     finished = {} if result is None else {"result": dict(result), "messages": list(messages)}
-    text = json.dumps({"fingerprint": wanted} | finished, ensure_ascii=False, indent=1, allow_nan=False)
+    text = readable_json({"fingerprint": wanted} | finished, indent=1)
     write_text(_record_path(folder, stage), text)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import read_json, readable_json, write_json
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -46,3 +47,12 @@ def test_nothing_is_written_that_is_not_json(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "a.json", {"a": float("nan")})
     assert not any(tmp_path.iterdir())
+
+
+def test_readable_json_keeps_letters_and_any_file_name() -> None:
+    value = {"Zoë": ["张三", "caf\udce9", "\ud83d\ude00 \\ud800", 1.5]}
+    text = readable_json(value)
+    assert text.encode() == '{"Zoë": ["张三", "caf\\udce9", "\\ud83d\\ude00 \\\\ud800", 1.5]}'.encode()
+    assert json.loads(text)["Zoë"][:2] == ["张三", "caf\udce9"]
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        readable_json(float("nan"))
