@@ -35,7 +35,7 @@ _NAMED_AFTER = {
 """Scores that joints and lids stand for, with the change of their logit per rad or unit."""
 FULL_EXPRESSION = 5.0
 """Change of a score's logit per unit of the axis that is named after it; measured 3 (brows) to 6 (smile)."""
-SATURATED = 0.02
+SATURATED = 0.05
 """Scores nearer to 0 or 1 tell as much as this one."""
 SCORE_NOISE = 0.1
 """Standard deviation of a measured score about the truth."""

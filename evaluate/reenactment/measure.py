@@ -103,6 +103,8 @@ def measure_reenactment(
     Raises:
         InputError: The source is no capture, does not fit the avatar, or the faces are not found.
     """
+    if source is not None and not source.is_dir():
+        raise InputError(f"{source}: expected a capture folder, whose images show the driver, found a file")
     bundle = finder.find("face_landmarker")
     capture = run.capture if source is None else Capture.open(source)
     driver, moved = _performances(run, source, how or TransferOptions(), finder)
@@ -139,8 +141,6 @@ def _performances(
         own = driving_sequence_of(run.capture)
         own = own.rows(np.array([own.row(frame) for frame in run.split.test]))
         return own, own
-    if not source.is_dir():
-        raise InputError(f"{source}: expected a capture folder, whose images show the driver, found a file")
     performance = perform(run, source, how, Rest(), finder)
     return performance.driver, performance.moved
 
@@ -154,7 +154,6 @@ def measured_rows(frames: tuple[int, ...]) -> np.ndarray:
     return np.unique(starts[:, None] + np.arange(RUN_LENGTH))
 
 
-@torch.no_grad()
 def render_small(run: Run, sequence: DrivingSequence) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
     """The avatar in every frame of a sequence, `WIDTH` px wide."""
     head = load_head(run.capture.head_path).to(run.background.device, torch.float32)
@@ -163,7 +162,9 @@ def render_small(run: Run, sequence: DrivingSequence) -> Iterator[UInt8[np.ndarr
         scale = camera.intrinsics.new_tensor([factor, factor, 1.0])
         height = round(camera.height * factor)
         small = Camera(scale[:, None] * camera.intrinsics, camera.world_to_camera, WIDTH, height)
-        yield to_8_bit(run.rasterize(run.avatar.gaussians(drive), small, run.background).image.float().cpu().numpy())
+        with torch.no_grad():
+            image = run.rasterize(run.avatar.gaussians(drive), small, run.background).image
+        yield to_8_bit(image.float().cpu().numpy())
 
 
 def see_faces(images: Iterable[UInt8[np.ndarray, "H W 3"]], bundle: Path, report: Callable[[int], None]) -> SeenFaces:

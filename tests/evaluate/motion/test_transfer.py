@@ -117,7 +117,7 @@ def test_savgol_keeps_parabolas_and_removes_noise() -> None:
     parabola = 3 * time**2 - time + 0.5
     np.testing.assert_allclose(savgol(parabola), parabola, atol=1e-12)
     noisy = parabola + np.random.default_rng(0).normal(0, 0.1, parabola.shape)
-    assert np.abs(savgol(noisy) - parabola).mean() < 0.7 * np.abs(noisy - parabola).mean()
+    assert np.abs(savgol(noisy) - parabola).mean() < 0.8 * np.abs(noisy - parabola).mean()
     assert savgol(parabola[:2]).tolist() == parabola[:2].tolist() and savgol(parabola[:4]).shape == (4, 1)
 
 
@@ -206,7 +206,7 @@ def test_bad_parameter_files_are_refused(tmp_path: Path, arrays: dict, words: st
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "params.pkl").write_bytes(b"x")
-    with pytest.raises(InputError, match="capture folder or an"):
+    with pytest.raises(InputError, match="capture folder, an .npz file"):
         read_driving_sequence(tmp_path / "params.pkl")
 
 
