@@ -206,7 +206,7 @@ def test_bad_parameter_files_are_refused(tmp_path: Path, arrays: dict, words: st
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "params.pkl").write_bytes(b"x")
-    with pytest.raises(InputError, match="capture folder, an .npz file"):
+    with pytest.raises(InputError, match=r"capture folder, an \.npz file"):
         read_driving_sequence(tmp_path / "params.pkl")
 
 
