@@ -119,6 +119,9 @@ class Options:
     """Output folder of the tables; by default the run's folder, evaluation/ for several runs, PRED-evaluation/ for
     --pred with --gt, PRED-evaluation/eval/PROTOCOL-ID/ for --pred with --capture. The scores of pictures are
     written below it too; without it, beside the pictures in PRED-evaluation/eval/."""
+    reenact: tuple[Path, ...] = ()
+    """Captures whose performances drive the avatars of the runs: how much of each face's expression arrives; measured
+    on the avatars' own test frames too."""
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False

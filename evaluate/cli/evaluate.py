@@ -62,6 +62,7 @@ def _evaluate(options: Options) -> int:
         console.print()
         for table in (table for table in tables if table.name not in ("detail", "sources")):
             show(table, console)
+    written += _reenact(options, folder, console)
     checks = limits.checks(evaluations)
     if options.gates.junit:
         write_junit(options.gates.junit, checks)
@@ -76,6 +77,20 @@ def _evaluate(options: Options) -> int:
             write_out(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}")
         write_out(*(f"wrote {path}" for path in written))
     return _finish(options, evaluations, written, checks)
+
+
+def _reenact(options: Options, folder: Path, console: Console) -> list[Path]:
+    """Drive the runs by the captures of --reenact, print what arrives, and return the files written."""
+    if not options.reenact:
+        return []
+    from evaluate.reenactment.pairs import measure_pairs
+    from evaluate.reenactment.table import reenactment_table, write_reenactments
+
+    found = measure_pairs(options, lambda title: show_progress(title, options.quiet))
+    if options.table or not options.quiet:
+        console.print()
+        show(reenactment_table(found), console)
+    return write_reenactments(found, folder)
 
 
 def _check_paper_subjects(options: Options) -> None:

@@ -90,6 +90,7 @@ def load_ict(path: Path, identity: Float[np.ndarray, " S"] | None = None) -> Hea
         joint_names=("root", "neck", "left_eye", "right_eye"),
         version="ict-facekit-1",
         regions={name: torch.arange(*rows) for name, rows in _PARTS.items()},
+        expression_names=EXPRESSIONS,
     )
 
 
