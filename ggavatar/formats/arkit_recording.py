@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -180,7 +180,7 @@ def _csv_table(path: Path) -> _Table:
         raise InputError(f"{path}: expected a CSV, JSON or npz file with ARKit scores ({error})") from error
     if not len(values):
         raise InputError(
-            f"{path}: expected a line of names and lines of scores, found no scores; export the take again"
+            f"{path}: expected a line of names and lines of scores, found {int(bool(names))} lines; export it again"
         )
     keys = _keys(names)
     if "timecode" in keys:
@@ -196,7 +196,7 @@ def _keys(names: Sequence[str]) -> dict[str, int]:
     return {re.sub(r"[^a-z]", "", name.lower()): index for index, name in reversed(list(enumerate(names)))}
 
 
-def _csv_rows(text: IO[str]) -> Iterator[list[str]]:
+def _csv_rows(text: io.TextIOWrapper) -> Iterator[list[str]]:
     """Rows of one line each, of bounded length."""
     while line := text.readline(MAX_LINE):
         if len(line) == MAX_LINE:
@@ -204,7 +204,7 @@ def _csv_rows(text: IO[str]) -> Iterator[list[str]]:
         yield next(csv.reader([line]), [])
 
 
-def _csv_columns(text: IO[str]) -> tuple[tuple[str, ...], list[str], Float[np.ndarray, "T C"]]:
+def _csv_columns(text: io.TextIOWrapper) -> tuple[tuple[str, ...], list[str], Float[np.ndarray, "T C"]]:
     """Names, the text of the time code of every row, and the numbers, which take eight bytes each and no more.
 
     Raises:

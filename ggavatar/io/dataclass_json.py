@@ -62,7 +62,7 @@ def _parse_value(text: str) -> Any:
     try:
         return parse_value(text)
     except ValueError:
-        return {"True": True, "False": False, "None": None}.get(text, text)
+        return {"True": True, "False": False, "None": None, "NaN": math.nan, "Infinity": math.inf}.get(text, text)
 
 
 def _finite_and_nonnegative(value: Any, where: str) -> Any:

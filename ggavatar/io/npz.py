@@ -144,8 +144,8 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
         )
     if prod(shape) * max(dtype.itemsize, 1) > info.file_size:  # texts of no characters are counted too
         raise InputError(
-            f"{path}: array {info.filename!r:.80} claims shape {shape!s:.80} but holds {info.file_size} bytes; the file is "
-            "damaged"
+            f"{path}: array {info.filename!r:.80} claims shape {shape!s:.80} but holds {info.file_size} bytes; the "
+            "file is damaged"
         )
     return ArrayHeader(tuple(shape), dtype)
 

@@ -101,5 +101,7 @@ def _require_regular(path: Path, expected: str, status: os.stat_result) -> None:
 
 
 def _size(count: int) -> str:
-    """A number of bytes, rounded up to KiB or MiB."""
-    return f"{-(-count // 1024)} KiB" if count < 1 << 20 else f"{-(-count // (1 << 20))} MiB"
+    """A number of bytes in words; KiB and MiB are rounded up."""
+    if count < 10 << 10:
+        return f"{count} bytes"
+    return f"{-(-count >> 10)} KiB" if count < 10 << 20 else f"{-(-count >> 20)} MiB"

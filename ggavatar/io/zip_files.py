@@ -42,20 +42,32 @@ def open_zip(path: Path, expected: str) -> Iterator[zipfile.ZipFile]:
             `MAX_MEMBERS` members.
     """
     with open_regular(path, expected) as stream:
+        bounded = _Bounded(stream)
         try:
-            bounded = _Bounded(stream)
-            with zipfile.ZipFile(cast(IO[bytes], bounded)) as archive:
+            with _as_damage():
+                archive = zipfile.ZipFile(cast(IO[bytes], bounded))
+            with archive:
                 bounded.is_open = True
                 _check(path, archive)
                 yield archive
-        except InputError:
+        except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+            raise InputError(
+                f"{path}: expected {expected}, found another file type or a damaged one ({str(error)[:100]}); copy or "
+                "create the file again"
+            ) from error
+
+
+@contextmanager
+def _as_damage() -> Iterator[None]:
+    """Make whatever zipfile raises for a damaged archive a `BadZipFile`."""
+    try:
+        yield
+    except DAMAGE as error:
+        raise zipfile.BadZipFile(str(error)[:100]) from error
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # EINVAL: a member lies before the file's start
             raise
-        except DAMAGE as error:
-            raise _damaged(path, expected, error) from error
-        except OSError as error:
-            if error.errno != errno.EINVAL:  # EINVAL: a member lies before the file's start
-                raise
-            raise _damaged(path, expected, error) from error
+        raise zipfile.BadZipFile("a member lies outside the file") from error
 
 
 def read_zipped(archive: zipfile.ZipFile, member: zipfile.ZipInfo | str, limit: int) -> bytes:
@@ -63,12 +75,12 @@ def read_zipped(archive: zipfile.ZipFile, member: zipfile.ZipInfo | str, limit: 
 
     Raises:
         KeyError: There is no such member.
-        zipfile.BadZipFile: It is larger.
+        zipfile.BadZipFile: It is larger, or damaged.
     """
     info = archive.getinfo(member) if isinstance(member, str) else member
     if info.file_size > limit:
         raise zipfile.BadZipFile(f"a member of {info.file_size >> 20} MiB")
-    with archive.open(info) as stream:
+    with _as_damage(), archive.open(info) as stream:
         return stream.read(info.file_size)
 
 
@@ -98,10 +110,3 @@ def _check(path: Path, archive: zipfile.ZipFile) -> None:
                 f"{path}: expected members that are stored or deflated, found {info.filename[:60]!r} packed otherwise "
                 "or encrypted; save the file again"
             )
-
-
-def _damaged(path: Path, expected: str, error: BaseException) -> InputError:
-    return InputError(
-        f"{path}: expected {expected}, found another file type or a damaged one ({str(error)[:100]}); copy or create "
-        "the file again"
-    )

@@ -49,7 +49,7 @@ def test_npy(tmp_path):
         with pytest.raises(InputError, match=r"mutant\.npy"):
             read_npy(path, 1 << 20)
     path.write_bytes(original)
-    with pytest.raises(InputError, match="at most 0 KiB"):
+    with pytest.raises(InputError, match="at most 100 bytes"):
         read_npy(path, 100)
 
 
