@@ -31,7 +31,6 @@ RUNNING_MODULES = {
     "joblib",
     "yaml",
     "runpy",
-    "code",
 }
 RUNNING_PARTS = ("torch.jit", "torch.hub", "torch.package", "torch.classes", "torch.ops", "webbrowser")
 
