@@ -37,7 +37,7 @@ MALFORMED = (
 )
 """What numpy and zipfile raise for damaged data; a header of an old npy file may even fail as Python's tokens."""
 
-_EXPECTED = "an npz file"
+_EXPECTED, _PLAIN, _MAX_AXES = "an npz file", "biufcSU", 32
 
 
 class ArrayHeader(NamedTuple):
@@ -89,12 +89,17 @@ def read_npy(path: Path, max_bytes: int) -> np.ndarray:
     stream, size = io.BytesIO(content), len(content)
     try:
         shape, dtype = _read_header(stream)
-        if dtype.hasobject or prod(shape) * max(dtype.itemsize, 1) > size:
-            raise ValueError(f"Python objects, or a shape of {shape}" if dtype.hasobject else f"shape {shape}")
+        if not _is_plain(dtype) or prod(shape) * max(dtype.itemsize, 1) > size:
+            raise ValueError(f"shape {shape!s:.80}" if _is_plain(dtype) else "Python objects, records or dates")
         stream.seek(0)
         return npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
     except MALFORMED as error:
         raise InputError(f"{path}: expected an array of numbers ({_words(error)}); create the file again") from error
+
+
+def _is_plain(dtype: np.dtype[Any]) -> bool:
+    """Whether a type is of numbers or texts: no objects, records or dates."""
+    return not dtype.hasobject and dtype.kind in _PLAIN
 
 
 def _words(error: BaseException) -> str:
@@ -137,7 +142,7 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
         raise InputError(
             f"{path}: entry {info.filename!r:.80} is not an array ({_words(error)}); create the file again"
         ) from error
-    if dtype.hasobject:
+    if not _is_plain(dtype):
         raise InputError(
             f"{path}: array {info.filename!r:.80} holds Python objects, which could run code; only plain numbers and "
             "text are read"
@@ -157,7 +162,7 @@ def _read_header(stream: IO[bytes] | io.BufferedIOBase) -> ArrayHeader:
     if reader is None:
         raise ValueError(f"npy version {version}")
     shape, _, dtype = reader(stream, max_header_size=10_000)
-    if any(type(size) is not int or size < 0 for size in shape):
+    if len(shape) > _MAX_AXES or any(type(size) is not int or size < 0 for size in shape):
         raise ValueError(f"shape {shape}")
     return ArrayHeader(tuple(shape), dtype)
 
