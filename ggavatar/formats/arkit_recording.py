@@ -37,7 +37,7 @@ ARKIT_NAMES = tuple(
 
 HEAD_ANGLES = ("headYaw", "headPitch", "headRoll")
 DEFAULT_FPS = 30.0
-MAX_ROWS, MAX_COLUMNS, MAX_NUMBERS = 1_000_000, 1000, 20_000_000
+MAX_ROWS, MAX_COLUMNS, MAX_NUMBERS = 1_000_000, 1000, 14_000_000
 """An hour at 60 frames per second has 216,000 rows and 13 million numbers."""
 MAX_CSV_BYTES, MAX_LINE = 1 << 28, 1 << 16
 MINIMUM_NAMES = 20
@@ -220,7 +220,10 @@ def _csv_columns(text: io.TextIOWrapper) -> tuple[tuple[str, ...], list[str], Fl
     for row in rows:
         if any(row):
             codes.append(row[code] if code < len(row) else "")
-            numbers.append(np.array([_number(cell) for cell in (*row, *[""] * len(names))[: len(names)]], np.float64))
+            values = np.full(len(names), np.nan)
+            for index, cell in enumerate(row[: len(names)]):
+                values[index] = _number(cell)
+            numbers.append(values)
         if len(numbers) > min(MAX_ROWS, MAX_NUMBERS // max(len(names), 1)):
             raise csv.Error("more rows than a take has")
     return names, codes, np.array(numbers, np.float64).reshape(len(numbers), len(names))
@@ -228,7 +231,7 @@ def _csv_columns(text: io.TextIOWrapper) -> tuple[tuple[str, ...], list[str], Fl
 
 def _number(text: str) -> float:
     try:
-        return float(text)
+        return float(text) if text else np.nan
     except ValueError:
         return np.nan
 

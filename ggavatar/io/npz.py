@@ -144,8 +144,8 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
         ) from error
     if not _is_plain(dtype):
         raise InputError(
-            f"{path}: array {info.filename!r:.80} holds Python objects, which could run code; only plain numbers and "
-            "text are read"
+            f"{path}: array {info.filename!r:.80} holds Python objects (which could run code), records or dates; only "
+            "plain numbers and text are read"
         )
     if prod(shape) * max(dtype.itemsize, 1) > info.file_size:  # texts of no characters are counted too
         raise InputError(
