@@ -47,6 +47,6 @@ def costs(module: str, function: str, files: Sequence[Path]) -> list[Cost]:
     """Read the files one after the other with `module.function`; any error but InputError fails."""
     command = [sys.executable, "-c", _PROGRAM, module, function, *map(str, files)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=600)
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=1800)
     assert ran.returncode == 0, ran.stderr
     return [Cost(*json.loads(line)) for line in ran.stdout.splitlines()]
