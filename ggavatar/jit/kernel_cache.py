@@ -75,6 +75,7 @@ def kernel_folder() -> Path:
     folder = Path(chosen).absolute() / "ggavatar" if chosen else cache_folder("compiled").absolute()
     with contextlib.suppress(OSError):
         _make_private(folder)
+        folder = folder.parent.resolve() / folder.name  # links above it could be changed after the check
         if is_private(folder) and os.access(folder, os.W_OK):
             folder.chmod(0o700)
             return folder
