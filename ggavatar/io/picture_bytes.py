@@ -71,8 +71,8 @@ def pixels_only(data: bytes) -> bytes:
     """A PNG without its texts, profiles, times and animations; anything else unchanged."""
     if not data.startswith(PNG_SIGNATURE):
         return data
-    kept, extra = [data[:8]], False
-    view = memoryview(data)
+    view, extra = memoryview(data), False
+    kept = [view[:8]]
     for kind, start, end in png_chunks(data):
         if kind[:1].isupper() or kind == b"tRNS":
             kept.append(view[start - 8 : end + 4])

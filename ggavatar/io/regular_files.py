@@ -10,8 +10,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from ggavatar.errors import InputError
 
@@ -19,7 +19,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
 _NO_FILE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
-def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
+def open_regular(path: Path, expected: str = "a file") -> BufferedReader:
     """Open a regular file for reading, in binary.
 
     Args:
