@@ -96,6 +96,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)  # of the clock; what is measured is time of the processor
 @pytest.mark.parametrize("name", EXPENSIVE)
 def test_work_and_memory_are_bounded(name: str, measured: dict) -> None:
     found = measured[name]
