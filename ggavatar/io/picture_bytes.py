@@ -1,8 +1,8 @@
 """The bytes of PNG and JPEG files, checked and reduced to what a decoder needs before one sees them.
 
-libpng unpacks every text and profile in a file, though nobody asks for them (300 texts of 8 MB: 27 s), and allocates
-the length that a chunk claims; libjpeg goes over the whole picture once for every scan (0.2 s each at the largest
-size), of which a kilobyte can hold dozens.
+The library libpng unpacks every text and profile in a file, though nobody asks for them (300 texts of 8 MB: 27 s), and
+allocates the length that a chunk claims; libjpeg goes over the whole picture once for every scan (0.2 s each at the
+largest size), of which a kilobyte can hold dozens.
 """
 
 from __future__ import annotations

@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import io
-import pickle
-import struct
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,12 +16,7 @@ from ggavatar.errors import InputError
 from ggavatar.io import torch_archives as archives
 from ggavatar.io.pickle_stand_ins import Budget, PlainConverter, Refused
 from ggavatar.io.regular_files import read_file, read_start, regular_size
-from ggavatar.io.restricted_unpickler import load_stream, unpickle
-
-_DAMAGE_ERRORS = (
-    *(pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
-    *(RecursionError, AssertionError, RuntimeError, MemoryError, struct.error),
-)
+from ggavatar.io.restricted_unpickler import DAMAGE_ERRORS, load_stream, unpickle
 
 
 def read_pickle(path: Path) -> Any:
@@ -43,7 +36,7 @@ def read_pickle(path: Path) -> Any:
             f"{path}: refused, since it holds {error}, which no tracker output or FLAME model needs and which "
             "could run code or fill the memory; download the file from its original source"
         ) from error
-    except _DAMAGE_ERRORS as error:
+    except DAMAGE_ERRORS as error:
         raise InputError(
             f"{path}: not a readable pickle ({type(error).__name__}); copy or create the file again"
         ) from error

@@ -42,6 +42,12 @@ _REFUSED_OPCODES = frozenset(
         *(pickle.NEWOBJ_EX, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.LONG4),
     )
 )
+DAMAGE_ERRORS = (
+    *(pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
+    *(RecursionError, AssertionError, RuntimeError, MemoryError, struct.error),
+)
+"""What Python's unpickler and the stand-ins raise for damaged data."""
+
 _SETS = frozenset({pickle.EMPTY_SET[0], pickle.FROZENSET[0]})
 _TEXTS = tuple(code[0] for code in (pickle.UNICODE, pickle.BINUNICODE, pickle.SHORT_BINUNICODE, pickle.BINUNICODE8))
 
@@ -276,7 +282,7 @@ def unpickle(stream: io.BytesIO, budget: Budget, storages: archives.StoragePool 
 
     Raises:
         Refused: It asks for something outside the allow-list, or takes too much.
-        Exception: Any that Python's unpickler raises for damaged data.
+        Exception: Any of `DAMAGE_ERRORS`.
     """
     return _RestrictedUnpickler(stream, budget, storages).load()
 
