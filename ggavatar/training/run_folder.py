@@ -29,7 +29,8 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.atomic import is_partial
 from ggavatar.io.dataclass_json import from_plain, to_plain
-from ggavatar.io.folder_lock import LOCK_FILES
+from ggavatar.io.folder_lock import is_lock_file
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
@@ -213,8 +214,9 @@ def holds_run(folder: Path) -> bool:
 
 def _foreign_files(folder: Path) -> list[Path]:
     """What is in a folder besides what a training leaves there that was stopped before its first step."""
-    own = {"checkpoints", "metrics", "split.json", "provenance.json", *LOCK_FILES}
-    return sorted(path for path in folder.iterdir() if path.name not in own and not is_partial(path))
+    own = {"checkpoints", "metrics", "split.json", "provenance.json"}
+    others = (path for path in folder.iterdir() if path.name not in own)
+    return sorted(path for path in others if not is_partial(path) and not is_lock_file(path))
 
 
 def create_run_folder(folder: Path, overwrite: bool) -> None:
@@ -225,8 +227,8 @@ def create_run_folder(folder: Path, overwrite: bool) -> None:
     """
     check_run_folder(folder, overwrite)
     _remove_own_files(folder)
-    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-    (folder / "metrics").mkdir(exist_ok=True)
+    for name in ("checkpoints", "metrics"):
+        make_folder(folder / name)
 
 
 def remove_partial_files(folder: Path) -> None:

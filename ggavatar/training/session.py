@@ -13,8 +13,8 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.io.atomic import require_folder
 from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
@@ -87,7 +87,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             check_run_folder(output, overwrite)
             config = with_settled_features(config)
             trainer = make_trainer(output, config, capture, split)
-            output.mkdir(parents=True, exist_ok=True)  # the input is usable: a failed start leaves nothing behind
+            make_folder(output)  # the input is usable: a failed start leaves nothing behind
             with lock_folder(output):
                 create_run_folder(output, overwrite)
                 write_config(output, config, split)
@@ -121,7 +121,6 @@ def _train(trainer: Trainer, done: int, config: RunConfig, capture: Capture, sto
         sys.stdout.write(describe(config) + "\n")
         trainer.listener = ConsoleListener(done, config.training.steps)
     done = trainer.run(done, stop)
-    require_folder(trainer.folder)
     write_json(path, {**provenance, **outcome_of(trainer, done)})
     return done
 
