@@ -68,11 +68,13 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-export; returns the exit code (0 success, 1 failure, 2 invalid input)."""
-    given = None if arguments is None else list(arguments)
-    config = (tyro.conf.FlagCreatePairsOff,)
+    return run_command(lambda: _export(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(given: list[str] | None) -> Arguments:
     handle_version_flag("ggavatar-export", given)
-    parsed = tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
-    return run_command(lambda: _export(parsed))
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
 
 
 def _description() -> str:

@@ -77,6 +77,14 @@ def is_partial(path: Path) -> bool:
     return path.name.startswith(".") and path.suffix == PARTIAL_SUFFIX
 
 
+def remove_partial_files(*folders: Path) -> None:
+    """Remove what killed processes have left directly in these folders; nobody else may be writing into them."""
+    for folder in folders:
+        for path in folder.glob(".*"):
+            if is_partial(path):
+                path.unlink(missing_ok=True)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file (UTF-8) atomically."""
     write_atomically(path, lambda stream: stream.write(text.encode("utf-8")))
