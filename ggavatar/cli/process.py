@@ -28,7 +28,7 @@ def prepare_process() -> None:
 
 
 def prepare_output() -> None:
-    """Let no message fail: a closed or broken stdout or stderr swallows it, an encoding without a character replaces it.
+    """Let no message fail: a closed or broken stdout or stderr swallows it, an encoding replaces what it lacks.
 
     A reader that has seen enough (`| head -1`) does not stop the work, whose files are what the command is for.
     """
@@ -94,7 +94,7 @@ def _open_standard_descriptors() -> None:
 class _SwallowingFile(io.FileIO):
     """A descriptor that goes on with the null device when its reader has gone away."""
 
-    def write(self, data: Any, /) -> int | None:
+    def write(self, data: Any, /) -> int:
         """Write, or drop what nobody reads."""
         try:
             return super().write(data)

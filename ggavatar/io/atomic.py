@@ -15,6 +15,7 @@ PARTIAL_SUFFIX = ".part"
 """Suffix of the temporary files, whose names begin with a dot."""
 
 
+_IS_WINDOWS = os.name == "nt"
 _PAUSES = (0.02, 0.1, 0.5)
 """How long an open file is waited for on Windows, s."""
 
@@ -63,7 +64,7 @@ def _write_and_rename(path: Path, write: Callable[[IO[bytes]], object], durable:
 
 def _replace(name: str, path: Path) -> None:
     """Rename; on Windows a file that another program has open for a moment is tried again."""
-    for pause in _PAUSES if os.name == "nt" else ():
+    for pause in _PAUSES if _IS_WINDOWS else ():
         try:
             os.replace(name, path)
             return

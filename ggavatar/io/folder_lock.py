@@ -26,7 +26,7 @@ from ggavatar.io.held_folders import hold_folder, make_folder
 from ggavatar.io.json_files import read_json
 
 LOCK, OWNER = ".lock", ".lock.json"
-"""Names of the files of a folder's lock; those of the lock of `NAME` beside it are `.NAME.lock` and `.NAME.lock.json`."""
+"""Names of the files of a folder's lock; those of a lock beside `NAME` are `.NAME.lock` and `.NAME.lock.json`."""
 
 PATIENCE = 0.3
 """How long a lock is tried for, s: a holder that is just leaving has then left."""
@@ -96,7 +96,9 @@ def _acquire(lock: FileLock, owner_path: Path, target: Path, wait: bool) -> bool
         return True
     except Timeout as error:
         if not wait:
-            raise InputError(f"{target}: {_owner(owner_path)} is writing here; wait until it ends, or stop it") from error
+            raise InputError(
+                f"{target}: {_owner(owner_path)} is writing here; wait until it ends, or stop it"
+            ) from error
         sys.stderr.write(f"waiting for {_owner(owner_path)}, which is writing into {target}\n")
         sys.stderr.flush()
         lock.acquire()

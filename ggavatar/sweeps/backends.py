@@ -11,7 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from ggavatar.errors import EXIT_FAILURE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE, InputError, Terminated
+from ggavatar.errors import (
+    EXIT_FAILURE,
+    EXIT_GATE,
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    EXIT_USAGE,
+    InputError,
+    Terminated,
+)
 from ggavatar.io.held_folders import make_folder
 
 FINAL_EXIT_CODES = frozenset({0, EXIT_USAGE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED})
