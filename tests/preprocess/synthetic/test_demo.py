@@ -237,7 +237,7 @@ def test_identity_out_of_range_exits_2(tmp_path, capsys):
 
 
 def test_an_unfinished_demo_is_replaced_by_the_same_command(tmp_path):
-    """Stopped after the second frame, as by a signal, then with what `kill -9` leaves; the bytes are those of one go."""
+    """Stopped after the second frame, then with what `kill -9` leaves; the bytes are those of one go."""
     folder = tmp_path / "demo"
     with pytest.raises(KeyboardInterrupt):
         for index in write_demo(folder, SETTINGS):
