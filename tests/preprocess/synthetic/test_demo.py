@@ -244,7 +244,7 @@ def test_an_unfinished_demo_is_replaced_by_the_same_command(tmp_path):
             if index == 1:
                 raise KeyboardInterrupt
     assert not (folder / "video.mp4").exists(), "nothing half-written is taken for a video"
-    (folder / ".video.partial.mp4").write_bytes(b"half")
+    (folder / ".video.mp4.part").write_bytes(b"half")
     (folder / "masks" / ".abc.png.part").write_bytes(b"half")
     (folder / ".lock").touch()
     prepare_demo_folder(folder, overwrite=False)
