@@ -321,6 +321,10 @@ def test_a_capture_that_was_moved_away_from_its_run_is_named(
     config = (run / "config.json").read_text().replace(str(toy_capture.folder), str(tmp_path / "gone"))
     (run / "config.json").write_text(config)
     assert export(run) == 2 and "name its new location with --capture" in capsys.readouterr().err
-    assert export(run, "--capture", moved) == 0
+    capsys.readouterr()
+    assert export(run, "--capture", moved) == 0 and "has changed since" not in capsys.readouterr().out
+    images = sorted((moved / "images").iterdir())
+    images[0].write_bytes(images[1].read_bytes())
+    assert export(run, "--capture", moved, "--overwrite") == 0 and "has changed since" in capsys.readouterr().out
     assert export(run / "exports" / "neutral.ply", "--capture", moved, "-o", tmp_path / "a.spz") == 2
     assert "belongs to a run" in capsys.readouterr().err
