@@ -281,6 +281,11 @@ def test_a_killed_export_of_a_folder_is_put_right_by_the_next(tmp_path: Path, mo
     with atomic_folder(folder, overwrite=True) as temporary:
         (temporary / "a").write_text("new")
     assert (folder / "a").read_text() == "new" and list(tmp_path.iterdir()) == [folder]
+    home.mkdir()
+    (home / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"mine\.txt"), atomic_folder(folder, overwrite=True):
+        pass
+    assert (home / "mine.txt").read_text() == "mine"
 
 
 def test_a_run_that_is_removed_meanwhile_does_not_come_back(
