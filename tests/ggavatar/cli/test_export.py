@@ -320,7 +320,7 @@ def test_a_capture_that_was_moved_away_from_its_run_is_named(
     run_folder: Path, toy_capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The message says --capture, and that works."""
-    run, moved = tmp_path / "run", tmp_path / "moved"
+    run, moved = tmp_path / "a" / "b" / "c" / "run", tmp_path / "moved"
     shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
     shutil.copytree(toy_capture.folder, moved)
     config = (run / "config.json").read_text().replace(str(toy_capture.folder), str(tmp_path / "gone"))
