@@ -44,7 +44,7 @@ OPENERS = {
 OWN = {"Capture.open", "registry.load", "self.load", "load", "PAPER.open"}
 """Our own functions of such names; `PAPER` is a table of the package."""
 
-WRITING = {"w", "wb", "a", "ab", "xb"}
+WRITING = {"w", "wb", "a", "ab", "x", "xb"}
 
 ALLOWED_TO_RUN = {
     ("ggavatar/cli/process.py", "ctypes.CDLL"): "the C library of this process",
@@ -54,13 +54,13 @@ ALLOWED_TO_RUN = {
     ("ggavatar/pretrained/pip_settings.py", "subprocess.run"): "pip of this Python, to read its settings",
     ("ggavatar/render/backends.py", "importlib.import_module"): "names in our code",
     ("ggavatar/render/discs/rasterizer.py", "importlib.import_module"): "names in our code",
-    ("ggavatar/sweeps/backends.py", "subprocess.run"): "our own commands, as lists of arguments",
+    ("ggavatar/sweeps/backends.py", "subprocess.Popen"): "our own commands, as lists of arguments",
     ("ggavatar/training/registry.py", "importlib.import_module"): "files of the package; the name is checked first",
     ("preprocess/formats/registry.py", "importlib.import_module"): "files of the package; the name is checked first",
 }
 
 ALLOWED_TO_OPEN = {
-    ("ggavatar/cli/run.py", "os.open"): "the null device",
+    ("ggavatar/cli/process.py", "os.open"): "the null device",
     ("ggavatar/formats/capture_layouts.py", "points[kind].load"): "packages that are installed",
     ("ggavatar/formats/splats/ply.py", "np.memmap"): "after the header and the size were checked",
     ("ggavatar/formats/splats/ply.py", "np.loadtxt"): "lines of an opened file",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,6 +52,7 @@ from ggavatar.io.held_folders import hold_folder
 from ggavatar.io.images import read_rgb, write_png
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
+from ggavatar.text.terminal import write_err
 from ggavatar.training.run_folder import Run, open_run
 from ggavatar.training.same_capture import change_since_training
 
@@ -121,7 +121,7 @@ def _open(options: Options, device: str) -> Run | StandaloneGaussians:
     moved = [] if source.capture is None else [source.capture]
     run = open_run(options.run, device, options.step, options.backend, *moved)
     if change := change_since_training(run):
-        sys.stderr.write(f"warning: {change}\n")
+        write_err(f"warning: {change}")
     return run
 
 

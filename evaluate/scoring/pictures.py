@@ -29,6 +29,8 @@ from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import write_json
+from ggavatar.io.picture_bytes import MAX_IMAGE_BYTES
+from ggavatar.io.regular_files import read_file
 from ggavatar.text.names import clean_name
 from ggavatar.training.run_folder import RunConfig, find_capture, read_config, read_split
 
@@ -226,7 +228,7 @@ def _copy_pictures(
         make_folder(target.parent)
         for old in target.parent.glob(f"{number:06d}.*"):
             old.unlink()
-        content = files[number].read_bytes()
+        content = read_file(files[number], MAX_IMAGE_BYTES, "an image")
         write_atomically(target, lambda stream: stream.write(content), durable=False)
         return target
 

@@ -24,6 +24,7 @@ from filelock import FileLock, Timeout
 from ggavatar.errors import InputError
 from ggavatar.io.held_folders import hold_folder, make_folder
 from ggavatar.io.json_files import read_json
+from ggavatar.text.terminal import write_err
 
 LOCK, OWNER = ".lock", ".lock.json"
 """Names of the files of a folder's lock; those of a lock beside `NAME` are `.NAME.lock` and `.NAME.lock.json`."""
@@ -99,7 +100,7 @@ def _acquire(lock: FileLock, owner_path: Path, target: Path, wait: bool) -> bool
             raise InputError(
                 f"{target}: {_owner(owner_path)} is writing here; wait until it ends, or stop it"
             ) from error
-        sys.stderr.write(f"waiting for {_owner(owner_path)}, which is writing into {target}\n")
+        write_err(f"waiting for {_owner(owner_path)}, which is writing into {target}")
         sys.stderr.flush()
         lock.acquire()
         return True
@@ -113,7 +114,7 @@ def _acquire(lock: FileLock, owner_path: Path, target: Path, wait: bool) -> bool
             raise
     with suppress(OSError):
         Path(lock.lock_file).unlink()
-    sys.stderr.write(f"note: {target}: this file system has no locks; let no other command write here meanwhile\n")
+    write_err(f"note: {target}: this file system has no locks; let no other command write here meanwhile")
     return False
 
 
