@@ -1,93 +1,99 @@
-"""Opens cases in worker processes from a fork server; a worker that hangs or dies is replaced, its case a fault."""
+"""Worker processes from a fork server: one for every thread that asks; one that hangs or dies is replaced."""
 
 from __future__ import annotations
 
 import functools
+import itertools
 import multiprocessing
 import os
-import tempfile
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import shutil
+import threading
 from pathlib import Path
 from typing import Any
 
-from tests.faults.hostile.case import FAULT, Case, Outcome
-from tests.faults.hostile.worker import MAX_SECONDS, work
+from tests.faults.hostile.fixture import FAULT, Fixture, Reading
+from tests.faults.hostile.worker import work
 
-PRELOADED = ("torch", "numba", "cv2", "av", "scipy.spatial.transform", "skimage.metrics", "matplotlib")
-GRACE, WARM_UP = 10.0, 300.0
-"""Seconds beyond the limit after which a case hangs, and that loading and reading the unchanged trees may take."""
-BATCH = 250
+PRELOADED = ("torch", "numba", "cv2", "av", "scipy.spatial.transform", "skimage.metrics", "matplotlib.pyplot")
+"""What workers start with; none of our own modules, whose import is watched like everything else."""
+HUNG, WARM_UP = 60.0, 600.0
+"""Seconds after which a reading hangs, and that loading and a first reading of a valid tree may take."""
 
 
 @functools.cache
 def _context() -> Any:
+    for name, value in (("OMP_NUM_THREADS", "1"), ("NUMBA_NUM_THREADS", "1"), ("MPLBACKEND", "agg")):
+        os.environ.setdefault(name, value)  # read when the fork server loads torch
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(PRELOADED))
     return context
 
 
-def open_all(
-    cases: Sequence[Case], bases: Path, jobs: int = 1, each: Callable[[Outcome], object] = lambda outcome: None
-) -> list[Outcome]:
-    """Open every case, `jobs` workers at a time; outcomes in the order of the cases."""
-    ordered = sorted(range(len(cases)), key=lambda index: (cases[index].base, cases[index].reader))
-    batches = [ordered[start : start + BATCH] for start in range(0, len(ordered), BATCH)]
-    outcomes: dict[int, Outcome] = {}
+class Pool:
+    """Opens fixtures; may be used by several threads.
 
-    def run(batch: Sequence[int]) -> None:
-        found = _open_batch([cases[index] for index in batch], bases, each)
-        outcomes.update(zip(batch, found, strict=True))
+    Args:
+        originals: Folder of the valid trees.
+        folder: Folder for the workers' copies.
+    """
 
-    with ThreadPoolExecutor(jobs) as threads:
-        list(threads.map(run, batches))
-    return [outcomes[index] for index in range(len(cases))]
+    def __init__(self, originals: Path, folder: Path) -> None:
+        self._originals, self._folder = originals, folder
+        self._numbers = itertools.count()
+        self._idle: list[_Worker] = []
+        self._guard = threading.Lock()
 
+    def read(self, fixture: Fixture) -> Reading:
+        """What becomes of a fixture."""
+        with self._guard:
+            worker = self._idle.pop() if self._idle else None
+        if worker is None:
+            worker = _Worker(self._originals, self._folder / f"worker-{next(self._numbers):04d}")
+        reading = worker.ask(fixture)
+        if worker.is_alive:
+            with self._guard:
+                self._idle.append(worker)
+        else:
+            worker.end()
+        return reading
 
-def _open_batch(cases: Sequence[Case], bases: Path, each: Callable[[Outcome], object]) -> list[Outcome]:
-    found: list[Outcome] = []
-    while len(found) < len(cases):
-        with tempfile.TemporaryDirectory(prefix="hostile-", ignore_cleanup_errors=True) as sandbox:
-            for outcome in _open_until_dead(cases[len(found) :], bases, Path(sandbox) / "work"):
-                found.append(outcome)
-                each(outcome)
-    return found
-
-
-def _open_until_dead(cases: Sequence[Case], bases: Path, sandbox: Path) -> Any:
-    """Outcomes of one worker, until it has opened all or a case was the end of it."""
-    receiver, sender = multiprocessing.Pipe(duplex=False)
-    environment = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}
-    os.environ.update({name: value for name, value in environment.items() if name not in os.environ})
-    process = _context().Process(target=work, args=(sender, bases, sandbox, list(cases)), daemon=True)
-    process.start()
-    sender.close()
-    current: Case | None = None
-    done = 0
-    try:
-        while done < len(cases):
-            limit = WARM_UP if current is None else MAX_SECONDS + GRACE
-            if not receiver.poll(limit):
-                yield _ended(current, f"no end within {limit:.0f} s")
-                return
-            try:
-                kind, content = receiver.recv()
-            except EOFError:
-                process.join(5)
-                yield _ended(current, f"the process died with exit code {process.exitcode}")
-                return
-            if kind == "begin":
-                current = cases[content]
-            else:
-                done += 1
-                yield content
-    finally:
-        process.kill()
-        process.join()
-        receiver.close()
+    def close(self) -> None:
+        """End all workers."""
+        while self._idle:
+            self._idle.pop().end()
 
 
-def _ended(case: Case | None, how: str) -> Outcome:
-    if case is None:
-        raise RuntimeError(f"the worker did not begin: {how}")
-    return Outcome(case.name, FAULT, f"fault: {how}")
+class _Worker:
+    """One process and its folder."""
+
+    def __init__(self, originals: Path, sandbox: Path) -> None:
+        self._sandbox = sandbox
+        sandbox.mkdir(parents=True)
+        self._connection, theirs = multiprocessing.Pipe()
+        self._process = _context().Process(target=work, args=(theirs, originals, sandbox), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.is_alive = True
+
+    def ask(self, fixture: Fixture) -> Reading:
+        """Have a fixture read; afterwards the worker may be dead."""
+        try:
+            self._connection.send(fixture)
+            failure = self._connection.recv() if self._connection.poll(WARM_UP) else f"no end within {WARM_UP:.0f} s"
+            if failure:
+                raise RuntimeError(f"{fixture.reader} cannot read the unchanged tree {fixture.base}: {failure}")
+            if self._connection.poll(HUNG):
+                return self._connection.recv()
+        except EOFError:
+            self._process.join(5)
+            self.is_alive = False
+            return Reading(FAULT, f"the process died with exit code {self._process.exitcode}")
+        self.is_alive = False
+        return Reading(FAULT, f"no end within {HUNG:.0f} s")
+
+    def end(self) -> None:
+        """Kill the process and remove its folder."""
+        self._connection.close()
+        self._process.kill()
+        self._process.join()
+        shutil.rmtree(self._sandbox, ignore_errors=True)

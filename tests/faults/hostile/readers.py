@@ -6,9 +6,10 @@ A reader gets a path in a tree of `bases.py`, reads all that a user's command wo
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,14 +28,14 @@ class Reader:
     Attributes:
         open: Reads it; raises an `InputError` (or `CommandFailed`) for anything that cannot be used.
         writes: It writes into the tree, as commands do.
-        anonymous: Its messages need not name the file, which the caller names.
         longest: Most characters of a message.
+        forgets: Files and folders of its own making that it would read instead of making them again.
     """
 
     open: Callable[[Path], Any]
     writes: bool = False
-    anonymous: bool = False
     longest: int = 2000
+    forgets: tuple[str, ...] = ()
 
 
 def pickle(path: Path) -> None:
@@ -91,7 +92,8 @@ def tracking_as(name: str) -> Callable[[Path], None]:
     def read(path: Path) -> None:
         from preprocess.formats.registry import importer
 
-        importer(name).read(path)
+        record = importer(name).read(path)
+        assert len(record.numbers) > 0
 
     return read
 
@@ -197,16 +199,16 @@ def weights(path: Path) -> None:
 
 
 def landmark_networks(path: Path) -> None:
-    """MediaPipe's bundle, or one of its networks, run once."""
+    """MediaPipe's bundle or a network of its own, run once."""
     import cv2
 
     from ggavatar.landmarks.bundle import canonical_face, load_network
 
     if path.suffix == ".task":
         canonical_face(path)
-    network = load_network(path, "landmarks" if path.suffix == ".task" else "iris")
-    size = 256 if path.suffix == ".task" else 64
-    network.setInput(cv2.dnn.blobFromImage(np.zeros((size, size, 3), np.float32)))
+    network = load_network(path, "landmarks")
+    network.setInput(cv2.dnn.blobFromImage(np.zeros((256, 256, 3), np.float32)))
+    network.forward()
 
 
 def mask_network(path: Path) -> None:
@@ -230,44 +232,38 @@ def pictures(path: Path) -> None:
     from evaluate.scoring.image_decoding import read_scored
 
     for pair in pair_folders(path / "pred", path / "truth"):
-        read_scored(pair)
+        read_scored(pair.prediction, (1.0, 1.0, 1.0))
+        read_scored(pair.truth, (1.0, 1.0, 1.0))
 
 
 def command(entry: str, *arguments: str) -> Callable[[Path], str]:
-    """A command in this process; `{}` in its arguments is the path.
+    """A reader that runs a command in this process; `{}` in its arguments is the path."""
+    return lambda path: run_command(entry, *(argument.replace("{}", str(path)) for argument in arguments))
+
+
+def run_command(entry: str, *arguments: str) -> str:
+    """Run a command, `module:function`, in this process; what it wrote to stderr.
 
     Raises:
         CommandFailed: Exit code 2.
         AssertionError: Another exit code than 0 and 2.
     """
-
-    def run(path: Path) -> str:
-        import importlib
-
-        module, _, name = entry.partition(":")
-        function = getattr(importlib.import_module(module), name)
-        given = [argument.replace("{}", str(path)) for argument in arguments]
-        code, text = _run(function, given)
-        if code == 2:
-            raise CommandFailed(text)
-        assert code == 0, f"exit code {code}: {text[-500:]}"
-        return text
-
-    return run
-
-
-def _run(function: Callable[..., int], arguments: Sequence[str]) -> tuple[int, str]:
-    """Exit code and stderr; arguments are passed as those of the process."""
+    module, _, name = entry.partition(":")
+    function = getattr(importlib.import_module(module), name)
     errors, saved = io.StringIO(), sys.argv
     sys.argv = ["command", *arguments]
     try:
         with contextlib.redirect_stderr(errors):
             code = function()
     except SystemExit as stop:
-        code = stop.code if isinstance(stop.code, int) else 1
+        code = stop.code
     finally:
         sys.argv = saved
-    return code, errors.getvalue()
+    text = errors.getvalue()
+    if code == 2:
+        raise CommandFailed(text)
+    assert code == 0, f"exit code {code}: {text[-500:]}"
+    return text
 
 
 _TRAIN = ("ggavatar.cli.train:train", "{}/capture", "gaussian_avatars", "--device", "cpu", "-q", "-o", "{}/run")
@@ -295,7 +291,7 @@ READERS: dict[str, Reader] = {
     "mask-network": Reader(mask_network),
     "split-file": Reader(split_file),
     "pictures": Reader(pictures),
-    "eval": Reader(command("evaluate.cli.evaluate:main", "{}/run", "--no-learned", "-q"), writes=True),
+    "eval": Reader(command("evaluate.cli.evaluate:main", "{}/run", "--no-learned", "-q"), writes=True, forgets=("run/eval",)),
     "eval-results": Reader(command("evaluate.cli.evaluate:main", "{}", "--no-learned", "-q"), writes=True),
     "resume": Reader(command(*_TRAIN, "--resume"), writes=True),
     "export-run": Reader(command("ggavatar.cli.export:main", "{}/run", "--overwrite"), writes=True),
@@ -303,4 +299,10 @@ READERS: dict[str, Reader] = {
     "export-capture": Reader(command("ggavatar.cli.export:main", "{}/capture", "--format", "vhap"), writes=True),
     "doctor": Reader(command("preprocess.cli.doctor:main", "{}/capture"), writes=True),
 }
-"""By name."""
+"""By name; `tracking:NAME` (see `reader_of`) is an importer that was chosen by name."""
+
+
+def reader_of(name: str) -> Reader:
+    """The reader of that name."""
+    kind, _, choice = name.partition(":")
+    return Reader(tracking_as(choice)) if choice else READERS[kind]

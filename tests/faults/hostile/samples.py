@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import pickle
 import tempfile
 import zipfile
@@ -20,6 +21,9 @@ ARRAYS: Mapping[str, np.ndarray] = {
     "b": np.array("text"),
     "c": np.zeros((3, 4, 5), np.float32),
 }
+BUNDLE, NETWORK = "face_landmarker.task", "selfiesegmentation_mlkit_256.f16.tflite"
+"""Networks that are read where $GGAVATAR_MODELS has them."""
+_MODELS = Path(os.environ.get("GGAVATAR_MODELS", "models"))
 COUNT = 4
 """Frames of a sample."""
 
@@ -136,24 +140,6 @@ def driving() -> bytes:
     return npz(arrays | {"version": np.array("ball-1"), "eyelids": np.zeros((COUNT, 2))})
 
 
-def bundle() -> bytes:
-    """MediaPipe's bundle with its geometry and a network that OpenCV reads."""
-    import struct
-
-    from ggavatar.landmarks.bundle import MEMBERS
-
-    mesh = b"".join(b"\x1d" + struct.pack("<f", value % 17 / 10) for value in range(468 * 5))
-    size, length = bytearray(), len(mesh)
-    while length > 127:
-        size.append(length & 127 | 128)
-        length >>= 7
-    geometry = b"\x0a" + bytes([*size, length]) + mesh
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        archive.writestr(MEMBERS["geometry"], geometry)
-    return stream.getvalue()
-
-
 def results() -> bytes:
     """A metrics.json."""
     from evaluate.protocols.results import to_json
@@ -210,6 +196,7 @@ FILES: dict[str, Callable[[], bytes]] = {
     "split.json": _split,
 }
 """Content by file name."""
+FILES |= {name: (_MODELS / name).read_bytes for name in (BUNDLE, NETWORK) if (_MODELS / name).is_file()}
 
 READERS_OF: dict[str, tuple[str, ...]] = {
     **{name: ("gaussians",) for name in SPLATS},
@@ -238,5 +225,6 @@ READERS_OF: dict[str, tuple[str, ...]] = {
     "metrics.json": ("results", "eval-results"),
     "baseline.json": ("baseline",),
     "split.json": ("split-file",),
+    **{name: ("landmark-networks",) for name in (BUNDLE, NETWORK) if name in FILES},
 }
 """Readers by file name."""

@@ -22,6 +22,8 @@ _FORBIDDEN = (
 _CHANGING = ("os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.chmod", "os.chown", "os.link", "os.symlink")
 _CHANGING += ("os.truncate", "shutil.rmtree", "shutil.move", "shutil.copyfile", "os.utime", "os.setxattr")
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_GENERATORS = ("/dataclasses.py", "/collections/__init__.py", "/typing.py", "/enum.py", "/tyro/_calling.py")
+"""Modules that make functions of classes out of text."""
 _PROJECT = Path(__file__).resolve().parents[3]
 
 
@@ -54,12 +56,13 @@ class Watch:
         found = self._found
         if found is None or len(found) > 20:
             return
-        if event in _FORBIDDEN:
+        if event in _FORBIDDEN and arguments != (None,):  # dlopen(None) is the process itself
             found.append(f"{event}{arguments!r:.200}")
         elif event == "exec":
             place = getattr(arguments[0], "co_filename", "?")
-            if not place.startswith((*self._roots, "<frozen ", "<__array_function__")):
-                found.append(f"exec of code from {place}")
+            caller = sys._getframe(1).f_code.co_filename
+            if not place.startswith((*self._roots, "<frozen ")) and not caller.endswith(_GENERATORS):
+                found.append(f"exec of code from {place} by {caller}")
         elif event == "open":
             name, mode, flags = arguments
             writes = set(mode or "") & set("wax+") or (isinstance(flags, int) and flags & _WRITING)

@@ -1,7 +1,8 @@
-"""What is done to a tree of valid files before it is read, and what became of the reading."""
+"""A fixture: a tree of valid files that is changed before it is read; and what became of the reading."""
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 from collections.abc import Mapping
@@ -14,11 +15,11 @@ REFUSED, ACCEPTED, FAULT = "refused", "accepted", "FAULT"
 
 
 @dataclass(frozen=True)
-class Case:
+class Fixture:
     """A change of a valid tree, and the reader that then opens it.
 
     Attributes:
-        name: For the report; the same case has the same name in every run.
+        name: For the report; unique among those of a row.
         base: The tree, a key of `bases.BASES`.
         reader: A key of `readers.READERS`.
         target: What the reader opens, relative to the tree.
@@ -40,7 +41,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Hostile(Case):
+class Hostile(Fixture):
     """Files written by an attacker.
 
     Attributes:
@@ -83,8 +84,6 @@ class Special:
 
     def make(self, path: Path) -> None:
         """Create it."""
-        import os
-
         if self.kind == "fifo":
             os.mkfifo(path)
         elif self.kind == "link":
@@ -94,7 +93,7 @@ class Special:
 
 
 @dataclass(frozen=True)
-class Mutated(Case):
+class Mutated(Fixture):
     """One file changed at random.
 
     Attributes:
@@ -120,7 +119,7 @@ class Mutated(Case):
 
 
 @dataclass(frozen=True)
-class Flipped(Case):
+class Flipped(Fixture):
     """One bit of one file flipped.
 
     Attributes:
@@ -141,18 +140,16 @@ class Flipped(Case):
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a case.
+class Reading:
+    """What became of a fixture.
 
     Attributes:
-        case: Its name.
         verdict: `REFUSED` by an InputError that names the file, `ACCEPTED` without harm, or `FAULT`.
         detail: The message, or what went wrong.
         seconds: Time of the reading.
         megabytes: Memory that it took beyond what was there before, MB.
     """
 
-    case: str
     verdict: str
     detail: str
     seconds: float = 0.0
