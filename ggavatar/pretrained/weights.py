@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.errors import InputError
+from ggavatar.io.regular_files import regular_size
 
 MAX_WEIGHT_BYTES = 1 << 30
 
@@ -20,8 +21,7 @@ def load_weights(path: Path) -> dict[str, Tensor]:
     Raises:
         InputError: The file is larger than `MAX_WEIGHT_BYTES`, damaged, or holds anything but tensors by name.
     """
-    if path.stat().st_size > MAX_WEIGHT_BYTES:
-        raise InputError(f"{path}: expected a weight file of at most {MAX_WEIGHT_BYTES >> 30} GiB, found a larger one")
+    regular_size(path, "a weight file", MAX_WEIGHT_BYTES)
     if path.suffix == ".safetensors":
         try:
             return safetensors.torch.load_file(path)

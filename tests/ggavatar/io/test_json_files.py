@@ -24,7 +24,7 @@ def test_round_trip(tmp_path: Path) -> None:
         (b'{"a": NaN}', "NaN is not a JSON number"),
         (b'{"a": "\xff"}', "not valid JSON"),
         (b"[]", "expected a JSON object, found list"),
-        (b'{"a": "' + bytes(200) + b'"}', "expected at most"),
+        (b'{"a": "' + bytes(200) + b'"}', "expected a JSON file of at most 100 bytes, found 209 bytes"),
     ],
 )
 def test_damage_is_one_message(content: bytes, message: str, tmp_path: Path) -> None:
