@@ -295,7 +295,7 @@ READERS: dict[str, Reader] = {
     "eval-results": Reader(command("evaluate.cli.evaluate:main", "{}", "--no-learned", "-q"), writes=True),
     "resume": Reader(command(*_TRAIN, "--resume"), writes=True),
     "export-run": Reader(command("ggavatar.cli.export:main", "{}/run", "--overwrite"), writes=True),
-    "export-file": Reader(command("ggavatar.cli.export:main", "{}", "--format", "ply", "--overwrite"), writes=True),
+    "export-file": Reader(command("ggavatar.cli.export:main", "{}", "-o", "{}.out.ply", "--overwrite"), writes=True),
     "export-capture": Reader(command("ggavatar.cli.export:main", "{}/capture", "--format", "vhap"), writes=True),
     "doctor": Reader(command("preprocess.cli.doctor:main", "{}/capture"), writes=True),
 }
