@@ -11,7 +11,14 @@ from typing import Protocol as Interface
 from evaluate.metrics.network_files import NO_WEIGHTS
 from evaluate.options import Options
 from evaluate.protocols.protocol import Protocol
-from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.results import (
+    FRAMES_FILE,
+    METRICS_FILE,
+    Evaluation,
+    read_results,
+    restore_frames,
+    write_results,
+)
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.frame_store import (
@@ -91,7 +98,7 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
     for note in labels.notes if labels.setup.origin == "run" else ():
         reporter.warn(f"{labels.subject}, {labels.method}: {note}")
     weights = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
-    earlier = _stored(home)
+    earlier = _stored(home, reporter)
     if earlier is not None:
         if not (touched := touched_images(earlier, home)):
             absent = set(unavailable(protocol, learned, faces))
@@ -99,6 +106,8 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
                 absent,
                 weights,
             ):
+                if restore_frames(earlier, home):
+                    reporter.warn(f"{home / FRAMES_FILE}: changed since it was written; written again")
                 return earlier, [home / METRICS_FILE, home / FRAMES_FILE]
         else:
             reporter.warn(f"{home}: scored again, because {', '.join(touched)} changed since they were scored")
@@ -127,13 +136,14 @@ def _stale(job: Job) -> str:
     return " and ".join(words.get(name, f"the {name.replace('_', ' ')}") for name in changed) or "its description"
 
 
-def _stored(home: Path) -> Evaluation | None:
-    """The stored evaluation, if there is a readable one."""
+def _stored(home: Path, reporter: Reporter) -> Evaluation | None:
+    """The stored evaluation; None, with a warning, if it is damaged."""
     if not (home / METRICS_FILE).is_file():
         return None
     try:
         return read_results(home)
-    except InputError:
+    except InputError as error:
+        reporter.warn(f"{error}; scored again now")
         return None
 
 

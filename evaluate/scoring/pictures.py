@@ -27,7 +27,7 @@ from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import image_header
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import write_sealed_json
 from ggavatar.training.run_folder import RunConfig, find_capture, read_config, read_split
 
 WHITE = (1.0, 1.0, 1.0)
@@ -228,5 +228,5 @@ def _copy_pictures(
 
     filled = fill_frames(home, task, capture, copy, digests, progress)
     if not filled.summary["complete"]:
-        write_json(home / SUMMARY, {**filled.summary, "complete": True})
+        write_sealed_json(home / SUMMARY, {**filled.summary, "complete": True})
     return filled

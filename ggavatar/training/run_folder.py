@@ -30,7 +30,7 @@ from ggavatar.head.files import load_head
 from ggavatar.io.atomic import is_partial
 from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.folder_lock import LOCK_FILES
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
@@ -252,8 +252,8 @@ def write_config(folder: Path, config: RunConfig, split: Split) -> None:
     """Write config.json and split.json."""
     capture = Path(config.capture)
     relative = os.path.relpath(capture, folder.resolve())
-    write_json(folder / "split.json", {"name": config.split, "train": list(split.train), "test": list(split.test)})
-    write_json(
+    write_sealed_json(folder / "split.json", {"name": config.split, "train": list(split.train), "test": list(split.test)})
+    write_sealed_json(
         folder / "config.json", {"schema": SCHEMA, "version": VERSION, "capture_relative": relative, **to_plain(config)}
     )
 

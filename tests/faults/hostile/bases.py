@@ -5,6 +5,7 @@ They are made by the project's own writers, once, and copied for every worker.
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -121,12 +122,16 @@ def _capture(folder: Path) -> None:
 
 def _avatar(folder: Path) -> None:
     """A capture, a run of three steps on it, and an evaluation of the run."""
-    from tests.faults.hostile.readers import run_command
+    from evaluate.protocols.results import FRAMES_FILE, read_results
+    from tests.faults.hostile.readers import EXPECTED, comparable, run_command
 
     _capture(folder / "capture")
     train = ("gaussian_avatars", "--steps", "3", "--device", "cpu", "-q", "--set", "perceptual_weight=0")
     run_command("ggavatar.cli.train:train", str(folder / "capture"), *train, "-o", str(folder / "run"))
     run_command("evaluate.cli.evaluate:main", str(folder / "run"), "--no-learned", "-q")
+    (home,) = (folder / "run" / "eval").iterdir()
+    expected = {"numbers": comparable(read_results(home)), "per_frame.csv": (home / FRAMES_FILE).read_text("utf-8")}
+    (folder / EXPECTED).write_text(json.dumps(expected), encoding="utf-8")
 
 
 def _pictures(folder: Path) -> None:

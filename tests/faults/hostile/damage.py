@@ -10,10 +10,11 @@ from typing import NamedTuple
 from preprocess.formats.registry import importer_names
 from tests.faults.hostile.bases import FILES, FRAMES, PICTURES, RUN, files_of, tracking_target
 from tests.faults.hostile.fixture import Fixture, Flipped, Mutated
+from tests.faults.hostile.readers import EXPECTED
 from tests.faults.hostile.samples import READERS_OF
 
-IGNORED = (".lock",)
-"""Files of a run that hold nothing."""
+IGNORED = (".lock", EXPECTED)
+"""Files of the tree that hold nothing, or are ours."""
 
 
 class Subject(NamedTuple):
@@ -87,5 +88,6 @@ def flips(originals: Callable[[str], Path], count: int, seed: int) -> list[Fixtu
     found: list[Fixture] = []
     for number in range(count):
         file = files[number % len(files)]
-        found.append(Flipped(f"a bit of {file} flipped", RUN, "numbers", ".", file, seed * 1_000_003 + number))
+        reader = "numbers" if file.startswith("run/eval/") else "numbers-anew"
+        found.append(Flipped(f"a bit of {file} flipped", RUN, reader, ".", file, seed * 1_000_003 + number))
     return found

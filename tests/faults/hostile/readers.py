@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -241,12 +242,12 @@ def command(entry: str, *arguments: str) -> Callable[[Path], str]:
     return lambda path: run_command(entry, *(argument.replace("{}", str(path)) for argument in arguments))
 
 
-def run_command(entry: str, *arguments: str) -> str:
+def run_command(entry: str, *arguments: str, code: int = 0) -> str:
     """Run a command, `module:function`, in this process; what it wrote to stderr.
 
     Raises:
         CommandFailed: Exit code 2.
-        AssertionError: Another exit code than 0 and 2.
+        AssertionError: Another exit code than `code` and 2.
     """
     module, _, name = entry.partition(":")
     function = getattr(importlib.import_module(module), name)
@@ -254,17 +255,78 @@ def run_command(entry: str, *arguments: str) -> str:
     sys.argv = ["command", *arguments]
     try:
         with contextlib.redirect_stderr(errors):
-            code = function()
+            found = function()
     except SystemExit as stop:
-        code = stop.code
+        found = stop.code
     finally:
         sys.argv = saved
     text = errors.getvalue()
-    if code == 2:
+    if found == 2:
         raise CommandFailed(text)
-    assert code == 0, f"exit code {code}: {text[-500:]}"
+    assert found == code, f"exit code {found}: {text[-500:]}"
     return text
 
+
+def names(path: Path) -> None:
+    """A table of stored scores in all its formats, checked for what its names must not become."""
+    from tests.faults.hostile.outputs import check_outputs
+
+    folder = path.parent / "tables"
+    printed = io.StringIO()
+    flags = ("--table", "--fail-below", "psnr=99", "--junit", str(folder / "junit.xml"), "-o", str(folder))
+    with contextlib.redirect_stdout(printed):
+        text = run_command("evaluate.cli.evaluate:main", str(path), *flags, code=3)
+    wrong = check_outputs(folder, printed.getvalue() + text)
+    assert not wrong, "; ".join(wrong[:5])
+
+
+class _Listener:
+    """Keeps the warnings of an evaluation."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    def progress(self, title: str) -> None:
+        """Nothing is shown."""
+
+    def warn(self, text: str) -> None:
+        """Keep it."""
+        self.warnings.append(text)
+
+
+def comparable(evaluation: Any) -> dict[str, Any]:
+    """The numbers of an evaluation without those that another run of the same would not repeat: times, places."""
+    found = json.loads(json.dumps(evaluation.as_dict()))
+    costs = {name: value for name, value in found["efficiency"].items() if not name.startswith("fps")}
+    parts = ("seed", "protocol", "summary", "hashes", "identical", "unmeasured", "frames", "per_frame", "setup")
+    return {"efficiency": costs, **{name: found[name] for name in parts}}
+
+
+def numbers(path: Path, anew: bool = False) -> str:
+    """Evaluate a run, with what an earlier evaluation left or anew; other numbers than before must be warned of."""
+    import shutil
+
+    from evaluate.options import Options
+    from evaluate.scoring.run import evaluate_run
+
+    if anew:
+        shutil.rmtree(path / "run" / "eval")
+    listener = _Listener()
+    evaluation, files = evaluate_run(path / "run", Options(no_learned=True), listener)
+    expected = json.loads((path / EXPECTED).read_text(encoding="utf-8"))
+    found = {"numbers": comparable(evaluation), "per_frame.csv": files[1].read_text(encoding="utf-8", errors="replace")}
+    changed = [name for name, value in {**found, **found["numbers"]}.items() if {**expected, **expected["numbers"]}[name] != value]
+    assert not changed or listener.warnings, f"other {', '.join(changed)}, and no word about it"
+    return "; ".join(listener.warnings)
+
+
+def numbers_anew(path: Path) -> str:
+    """The same without what an earlier evaluation left."""
+    return numbers(path, anew=True)
+
+
+EXPECTED = "expected.json"
+"""File of a tree with the numbers of its run."""
 
 _TRAIN = ("ggavatar.cli.train:train", "{}/capture", "gaussian_avatars", "--device", "cpu", "-q", "-o", "{}/run")
 
@@ -291,6 +353,9 @@ READERS: dict[str, Reader] = {
     "mask-network": Reader(mask_network),
     "split-file": Reader(split_file),
     "pictures": Reader(pictures),
+    "names": Reader(names, writes=True, forgets=("../tables",)),
+    "numbers": Reader(numbers, writes=True),
+    "numbers-anew": Reader(numbers_anew, writes=True),
     "eval": Reader(command("evaluate.cli.evaluate:main", "{}/run", "--no-learned", "-q"), writes=True, forgets=("run/eval",)),
     "eval-results": Reader(command("evaluate.cli.evaluate:main", "{}", "--no-learned", "-q"), writes=True),
     "resume": Reader(command(*_TRAIN, "--resume"), writes=True),
