@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.faults.bench import Bench
-from tests.faults.case import Outcome, Row
+from tests.faults.case import Case, Outcome, Row
 from tests.faults.catalogue import ROWS, named
 from tests.faults.report import Tally, tally, text_line, write_table
 from tests.faults.run import run_row
@@ -39,7 +39,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def cases_of(row: Row, wanted: argparse.Namespace) -> list:
+def cases_of(row: Row, wanted: argparse.Namespace) -> list[Case]:
     """The cases of a row that the arguments ask for."""
     count = wanted.count if wanted.count is not None else row.sample if wanted.sample else row.count
     seed = wanted.seed if wanted.seed is not None else datetime.date.today().toordinal() if wanted.sample else 0
@@ -57,9 +57,8 @@ def main(arguments: Sequence[str] | None = None, rows: Sequence[Row] = ROWS) -> 
     wanted = parse(arguments)
     chosen = named(wanted.row, rows)
     if not chosen:
-        say(
-            f"expected names of rows, found none for {' '.join(wanted.row)}; known are {', '.join(r.name for r in rows)}"
-        )
+        known = ", ".join(row.name for row in rows)
+        say(f"expected names of rows, found none for {' '.join(wanted.row)}; known are {known}")
         return 2
     if wanted.list:
         say("\n".join(case.title for row in chosen for case in cases_of(row, wanted)))
