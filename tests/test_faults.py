@@ -86,7 +86,8 @@ def test_a_folder_that_comes_back_is_noticed(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(disk, "TASKS", (writer("whole"),))
     case = Case("disk", "writer", f"{disk.REMOVED} after 0.4", 24, "")
     stubborn = WRITER.replace("    name = path", "    os.makedirs(folder, exist_ok=True)\n    name = path")
-    assert any("came back" in text for text in disk.check(case, bench_of(tmp_path, stubborn)))
+    slow = stubborn.replace("0.001", "0.01")
+    assert any("came back" in text for text in disk.check(case, bench_of(tmp_path, slow)))
 
 
 @pytest.mark.skipif(not can_mount(), reason="needs the right to mount a tmpfs")
