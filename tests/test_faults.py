@@ -83,7 +83,7 @@ def test_a_temporary_file_that_stays_is_noticed(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_comes_back_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(disk, "TASKS", (writer("whole"),))
+    monkeypatch.setattr(disk, "TASKS", (writer("in place"),))
     case = Case("disk", "writer", f"{disk.REMOVED} after 0.4", 24, "")
     stubborn = WRITER.replace("    name = path", "    os.makedirs(folder, exist_ok=True)\n    name = path")
     slow = stubborn.replace("0.001", "0.01")
