@@ -33,9 +33,12 @@ class DoctorOptions:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-doctor`; returns the exit code."""
+    return run_command(lambda: _examine(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(arguments: list[str] | None) -> DoctorOptions:
     handle_version_flag("ggavatar-doctor", arguments)
-    options = tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=None if arguments is None else list(arguments))
-    return run_command(lambda: _examine(options))
+    return tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=arguments)
 
 
 def _examine(options: DoctorOptions) -> int:
@@ -43,6 +46,7 @@ def _examine(options: DoctorOptions) -> int:
 
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
+    from ggavatar.io.folder_lock import lock_folder
     from preprocess.cli.terminal import report_lines
     from preprocess.doctor.diagnosis import examine, write_report
     from preprocess.doctor.preview import write_preview
@@ -51,8 +55,9 @@ def _examine(options: DoctorOptions) -> int:
     head = load_head(capture.head_path)
     diagnosis = examine(capture, head)
     if not options.dry_run:
-        write_report(capture, diagnosis)
-        write_preview(capture, head)
+        with lock_folder(capture.folder):
+            write_report(capture, diagnosis)
+            write_preview(capture, head)
     if options.json:
         sys.stdout.write(json.dumps(diagnosis.json(), default=float) + "\n")
     else:
