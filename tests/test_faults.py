@@ -7,6 +7,7 @@ small programs that do what ours must not: write in place, leave temporary files
 from __future__ import annotations
 
 import datetime
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -25,6 +26,8 @@ from tests.faults.report import BEGIN, END, tally, write_table
 from tests.faults.run import run_row
 from tests.faults.small_disk import can_mount, small_disk
 from tests.faults.tasks import Task, nothing
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs process groups and a POSIX shell")
 
 WRITER = """
 import json, os, sys, time
@@ -178,6 +181,7 @@ def test_the_command_reports_counts_and_failures(capsys: pytest.CaptureFixture[s
     assert "FAILED planted: train, nothing (seed 4); expected: all is well\n  it is lost" in said
     assert main(["--row", "no such row"], [planted(())]) == 2 and "known are planted" in capsys.readouterr().out
     assert main(["--list", "--count", "2"], [planted(())]) == 0 and len(capsys.readouterr().out.splitlines()) == 2
+    assert main(["--case", "1", "7"], [planted(())]) == 0 and "1 cases" in capsys.readouterr().out
     assert [row.name for row in named(["kill-*"])] == [f"kill-{name}" for name in kill.COMMANDS]
     text = page.read_text()
     assert text.startswith(f"before\n{BEGIN}\n") and text.endswith(f"{END}\nafter\n") and "`planted`" in text
