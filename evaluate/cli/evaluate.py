@@ -20,18 +20,20 @@ from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.options import Options, parse
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
-from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.protocols.setup import Setup
 from evaluate.scoring.accumulator import flat_notes
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
 from evaluate.tables.paper_aligned import parse_paper_subjects
+from evaluate.tables.table import Table
 from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
+from ggavatar.io.atomic import remove_partial_files
 from ggavatar.io.folder_lock import lock_folder, lock_output
 from ggavatar.io.held_folders import hold_folder
 from ggavatar.pretrained.resolve import ModelFinder
@@ -65,10 +67,7 @@ def _evaluate_all(options: Options) -> int:
     _warn_of_flat(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options, evaluated)
-    with lock_output(folder / TABLES):
-        written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
-        if not options.no_report:
-            written += _write_figures(options, evaluated, folder)
+    written += _write_tables(options, evaluated, tables, folder)
     if options.table:
         console.print()
         for table in (table for table in tables if table.name not in ("detail", "sources")):
@@ -88,6 +87,15 @@ def _evaluate_all(options: Options) -> int:
         for path in written:
             console.print(f"wrote {path}", markup=False, highlight=False)
     return _finish(options, evaluations, written, checks)
+
+
+def _write_tables(options: Options, evaluated: list[Evaluated], tables: list[Table], folder: Path) -> list[Path]:
+    """Write tables, the results behind them, and figures."""
+    with lock_output(folder / TABLES):
+        for name in (TABLES, "comparison", "report", METRICS_FILE, FRAMES_FILE):
+            remove_partial_files(folder, begin=name)
+        written = write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
+        return written if options.no_report else written + _write_figures(options, evaluated, folder)
 
 
 def _check_paper_subjects(options: Options) -> None:

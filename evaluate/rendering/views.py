@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from evaluate.figures.video import partial_video, video_writer
+from evaluate.figures.video import video_writer
 from evaluate.scoring.frame_files import frame_file, to_8_bit
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.data.background import Color
@@ -153,7 +153,7 @@ def _own_files(folder: Path) -> list[Path]:
 
 
 def _remove_own_files(folder: Path) -> None:
-    for path in [*_own_files(folder), partial_video(folder / VIDEO)]:
+    for path in _own_files(folder):
         path.unlink(missing_ok=True)
 
 

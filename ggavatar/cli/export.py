@@ -47,6 +47,8 @@ class Arguments:
     """Export these source frames of the run's capture, one file each."""
     drive: Path | None = None
     """Export every row of an .npz of head parameters (as for ggavatar-render --drive, or a flame_param.npz)."""
+    capture: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Where the capture of a run is now, if it was moved away from the run."""
     step: int | None = None
     """Step of the checkpoint; the newest if not given."""
     device: str = "auto"
@@ -97,8 +99,11 @@ def _export(arguments: Arguments) -> int:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
     _check_suffix(arguments)
+    exporter = _exporter(arguments)
+    if arguments.capture is not None and exporter is not _export_run:
+        raise InputError(f"{arguments.source}: --capture belongs to a run, found another source; leave it out")
     with hold_folder(arguments.source) if arguments.source.is_dir() else contextlib.nullcontext():
-        lines = _exporter(arguments)(arguments)
+        lines = exporter(arguments)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
 
@@ -199,7 +204,7 @@ def _export_run(arguments: Arguments) -> list[str]:
     from ggavatar.training.run_folder import open_run
 
     device = resolve_device(arguments.device)
-    run = open_run(arguments.source, device, arguments.step)
+    run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
     head = load_head(run.capture.head_path).to(device, torch.float32)
     if arguments.drive is not None:
         drives = file_drives(arguments.drive, run, head)

@@ -39,7 +39,7 @@ def prepare_output() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - open until the process ends
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-            if stream is getattr(sys, f"__{name}__") and type(getattr(stream.buffer, "raw", None)) is io.FileIO:
+            if stream is getattr(sys, f"__{name}__") and type(_raw(stream)) is io.FileIO:
                 setattr(sys, name, _swallowing(stream))
 
 
@@ -106,13 +106,18 @@ class _SwallowingFile(io.FileIO):
             return super().write(data)
 
 
+def _raw(stream: io.TextIOWrapper) -> Any:
+    """The descriptor behind a stream, which has no buffer in between with $PYTHONUNBUFFERED."""
+    return getattr(stream.buffer, "raw", stream.buffer)
+
+
 def _swallowing(stream: io.TextIOWrapper) -> io.TextIOWrapper:
     """A stream like this one on the same descriptor, whose reader may go away."""
     stream.flush()
     raw = _SwallowingFile(stream.fileno(), "w", closefd=False)
-    buffered = io.BufferedWriter(raw)
+    is_buffered = _raw(stream) is not stream.buffer
     return io.TextIOWrapper(
-        buffered,
+        io.BufferedWriter(raw) if is_buffered else raw,  # type: ignore[arg-type]  # as Python does
         encoding=stream.encoding,
         errors=stream.errors,
         line_buffering=stream.line_buffering,

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import remove_partial_files
 from ggavatar.io.folder_lock import lock_output
 
 
@@ -21,6 +22,7 @@ def output_file(path: Path, overwrite: bool) -> Iterator[None]:
     check_output_file(path, overwrite)
     with lock_output(path):
         check_output_file(path, overwrite)  # again: another process may have had the lock until now
+        remove_partial_files(path.parent, begin=f"{path.name}.")
         yield
 
 

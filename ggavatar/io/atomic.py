@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
 import time
@@ -15,6 +16,7 @@ PARTIAL_SUFFIX = ".part"
 """Suffix of the temporary files, whose names begin with a dot."""
 
 
+_NAME_LENGTH = 60  # characters of up to four bytes, of the 255 bytes that a name may have
 _IS_WINDOWS = os.name == "nt"
 _PAUSES = (0.02, 0.1, 0.5)
 """How long an open file is waited for on Windows, s."""
@@ -48,7 +50,8 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object], durable: 
 
 
 def _write_and_rename(path: Path, write: Callable[[IO[bytes]], object], durable: bool) -> None:
-    handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix + PARTIAL_SUFFIX, dir=path.parent)
+    prefix = f".{path.name[:_NAME_LENGTH]}."  # says whose it is, should it be left behind
+    handle, name = tempfile.mkstemp(prefix=prefix, suffix=PARTIAL_SUFFIX, dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as stream:
             write(stream)
@@ -73,17 +76,26 @@ def _replace(name: str, path: Path) -> None:
     os.replace(name, path)
 
 
+def partial_file(path: Path) -> Path:
+    """Where a file is while a library writes it that wants a name; to be renamed when it is complete."""
+    return path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+
+
 def is_partial(path: Path) -> bool:
-    """Whether a file is a temporary one that a killed `write_atomically` has left behind."""
+    """Whether a file is a temporary one that a killed process has left behind."""
     return path.name.startswith(".") and path.suffix == PARTIAL_SUFFIX
 
 
-def remove_partial_files(*folders: Path) -> None:
-    """Remove what killed processes have left directly in these folders; nobody else may be writing into them."""
+def remove_partial_files(*folders: Path, begin: str = "") -> None:
+    """Remove what killed processes have left directly in these folders.
+
+    Args:
+        folders: Where to look; they need not exist.
+        begin: Only what was to become a file whose name begins so. Nobody else may be writing such files.
+    """
     for folder in folders:
-        for path in folder.glob(".*"):
-            if is_partial(path):
-                path.unlink(missing_ok=True)
+        for path in folder.glob(f".{glob.escape(begin)}*{PARTIAL_SUFFIX}"):
+            path.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -14,15 +14,13 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import is_partial, remove_partial_files
+from ggavatar.io.atomic import is_partial, partial_file, remove_partial_files
 from ggavatar.io.folder_lock import is_lock_file
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import write_png
 from ggavatar.io.json_files import read_json, write_json
 
-MANIFEST = "demo.json"
-PARTIAL_VIDEO = ".video.partial.mp4"
-"""Name of the video while it is written."""
+MANIFEST, VIDEO = "demo.json", "video.mp4"
 
 
 class DemoFolder:
@@ -32,7 +30,8 @@ class DemoFolder:
         self.folder = folder
         for name in ("tracking", "masks"):
             make_folder(folder / name)
-        self._video = av.open(str(folder / PARTIAL_VIDEO), "w", options={"movflags": "+faststart"})
+        partial = str(partial_file(folder / VIDEO))
+        self._video = av.open(partial, "w", format="mp4", options={"movflags": "+faststart"})
         self._stream = self._video.add_stream("libx264", rate=Fraction(fps))
         self._stream.width = self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
@@ -51,13 +50,13 @@ class DemoFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        partial = self.folder / PARTIAL_VIDEO
+        partial = partial_file(self.folder / VIDEO)
         try:
             for packet in self._stream.encode():
                 self._video.mux(packet)
             self._video.close()
             if kind is None:
-                partial.replace(self.folder / "video.mp4")
+                partial.replace(self.folder / VIDEO)
         finally:
             partial.unlink(missing_ok=True)
 
@@ -93,7 +92,6 @@ def prepare_demo_folder(folder: Path, *, overwrite: bool) -> None:
         path = folder / name
         if name != MANIFEST and path.resolve().is_relative_to(folder.resolve()) and path.is_file():
             path.unlink()
-    (folder / PARTIAL_VIDEO).unlink(missing_ok=True)
     remove_partial_files(folder, folder / "masks", folder / "tracking")
 
 
@@ -124,6 +122,6 @@ def _manifest(folder: Path) -> dict[str, Any]:
 
 def write_manifest(folder: Path, settings: Mapping[str, Any], frames: int, *, complete: bool) -> None:
     """Write the manifest: the files of this demo, its settings, and whether all of the files are there."""
-    files = ["video.mp4", "head.npz", "truth.npz", "README.txt", MANIFEST]
+    files = [VIDEO, "head.npz", "truth.npz", "README.txt", MANIFEST]
     files += [f"masks/{k:05d}.png" for k in range(frames)] + [f"tracking/{k:05d}.frame" for k in range(frames)]
     write_json(folder / MANIFEST, {"settings": dict(settings), "files": files, "complete": complete})

@@ -124,7 +124,7 @@ def test_a_start_that_was_killed_or_failed_blocks_nothing(
     """Without an image there is nothing to lose: the corrected command needs no flag."""
     out, flags = tmp_path / "out", [flag] if flag else []
     (out / "frames").mkdir(parents=True)
-    for name in (".lock", ".abc.json.part") if flag else (".lock", "frames/.abc.png.part", ".render.partial.mp4"):
+    for name in (".lock", ".abc.json.part") if flag else (".lock", "frames/.abc.png.part", ".render.mp4.part"):
         (out / name).touch()
     key = {"--resume": None}.get(flag, "of other options")
     if flag != "--resume":

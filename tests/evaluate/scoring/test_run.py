@@ -5,6 +5,7 @@ Also covers `evaluate/scoring/evaluation_job.py`, `evaluate/scoring/touched.py` 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -137,12 +138,9 @@ def test_removing_an_evaluation_can_be_interrupted_anywhere(run: Run, monkeypatc
 
     for stop in range(1, 14):
         count = stop
-        with monkeypatch.context() as patch:
+        with monkeypatch.context() as patch, contextlib.suppress(ProcessLookupError):
             patch.setattr(Path, "unlink", killed)
-            try:
-                evaluate_run(run.folder, again, silent)
-            except ProcessLookupError:
-                pass
+            evaluate_run(run.folder, again, silent)
         assert evaluate_run(run.folder, OPTIONS, silent)[0].values == whole.values
 
 

@@ -309,3 +309,18 @@ def test_a_run_that_was_moved_with_its_capture_is_exported(
     shutil.copytree(toy_capture.folder, copy)
     assert open_run(run).capture.folder.resolve() == copy.resolve()
     assert export(run, "-o", tmp_path / "a.ply") == 0
+
+
+def test_a_capture_that_was_moved_away_from_its_run_is_named(
+    run_folder: Path, toy_capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The message says --capture, and that works."""
+    run, moved = tmp_path / "run", tmp_path / "moved"
+    shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
+    shutil.copytree(toy_capture.folder, moved)
+    config = (run / "config.json").read_text().replace(str(toy_capture.folder), str(tmp_path / "gone"))
+    (run / "config.json").write_text(config)
+    assert export(run) == 2 and "name its new location with --capture" in capsys.readouterr().err
+    assert export(run, "--capture", moved) == 0
+    assert export(run / "exports" / "neutral.ply", "--capture", moved, "-o", tmp_path / "a.spz") == 2
+    assert "belongs to a run" in capsys.readouterr().err

@@ -21,8 +21,10 @@ from ggavatar.training.progress import ConsoleListener, peak_memory_mib
 
 POSIX_MODULES = ("fcntl", "grp", "pwd", "resource", "termios", "tty", "pty", "syslog", "posix")
 POSIX_FUNCTIONS = {
-    "os": ("register_at_fork", "fork", "getuid", "geteuid", "getgid", "getegid", "chown", "fchmod", "sched_getaffinity")
-    + ("killpg", "getpgid", "setsid", "mkfifo", "posix_fallocate", "statvfs", "nice", "uname", "getloadavg"),
+    "os": (
+        *("register_at_fork", "fork", "getuid", "geteuid", "getgid", "getegid", "chown", "fchmod", "sched_getaffinity"),
+        *("killpg", "getpgid", "setsid", "mkfifo", "posix_fallocate", "statvfs", "nice", "uname", "getloadavg"),
+    ),
     "signal": ("SIGHUP", "SIGKILL", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGCHLD", "SIGPIPE", "alarm", "setitimer"),
 }
 LIBRARIES = (

@@ -46,7 +46,8 @@ sys.stderr.write("a note – on stderr\\n")
     "redirection",
     [
         "COMMAND >&-; echo $?",
-        "COMMAND | head -1 >/dev/null; echo ${PIPESTATUS[0]}",
+        "PYTHONUNBUFFERED=1 COMMAND | head -1 >/dev/null; echo ${PIPESTATUS[0]}",
+        "env -u PYTHONUNBUFFERED COMMAND | head -1 >/dev/null; echo ${PIPESTATUS[0]}",
         "COMMAND 2>&- >/dev/null; echo $?",
         "COMMAND >&- 2>&- <&-; echo $?",
         "PYTHONIOENCODING=ascii COMMAND >/dev/null; echo $?",

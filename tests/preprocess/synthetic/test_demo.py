@@ -237,14 +237,14 @@ def test_identity_out_of_range_exits_2(tmp_path, capsys):
 
 
 def test_an_unfinished_demo_is_replaced_by_the_same_command(tmp_path):
-    """Stopped after the second frame, as by a signal, then with what `kill -9` leaves; the bytes are those of one go."""
+    """Stopped after the second frame, then with what `kill -9` leaves; the bytes are those of one go."""
     folder = tmp_path / "demo"
     with pytest.raises(KeyboardInterrupt):
         for index in write_demo(folder, SETTINGS):
             if index == 1:
                 raise KeyboardInterrupt
     assert not (folder / "video.mp4").exists(), "nothing half-written is taken for a video"
-    (folder / ".video.partial.mp4").write_bytes(b"half")
+    (folder / ".video.mp4.part").write_bytes(b"half")
     (folder / "masks" / ".abc.png.part").write_bytes(b"half")
     (folder / ".lock").touch()
     prepare_demo_folder(folder, overwrite=False)
