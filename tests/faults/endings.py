@@ -7,7 +7,12 @@ from collections.abc import Collection
 
 from tests.faults.bench import Ended
 
-MESSAGE = re.compile(r"^(?:error|gate failed|interrupted|terminated|out of memory|failed with exit code \d+): ", re.M)
+MESSAGE = re.compile(
+    r"^(?:error|gate failed|interrupted|terminated|out of memory|failed with exit code \d+): "
+    r"|^(?:╭─+)? (?:Missing|Unrecognized|Parsing|Invalid|Required)\b",
+    re.MULTILINE,
+)
+"""How a message begins: one of ours, or the box of the argument parser."""
 CRASHES = ("Traceback (most recent call last)", "Exception ignored", "Fatal Python error", "Segmentation fault")
 FAILURES = (1, 2)
 """Exit codes that come with a message."""

@@ -23,6 +23,7 @@ from tests.faults.endings import complaints
 from tests.faults.small_disk import can_mount, small_disk
 from tests.faults.tasks import Task
 from tests.faults.undisturbed import reference
+from tests.mutations.mutation import ROOT
 
 TASKS = (
     tasks.DEMO,
@@ -38,6 +39,7 @@ TASKS = (
 SUCCESS, FAILED, BAD_INPUT = 0, 1, 2
 INTERRUPTED, TERMINATED = {130, -signal.SIGINT}, {143, -signal.SIGTERM}
 """What a shell shows for a command that a signal has ended is 128 and the number of the signal."""
+PACKAGES = ("ggavatar", "preprocess", "evaluate")
 LINES_OF_SWEEP = 4
 """Messages of a sweep: one for each of its two trainings, their own and its evaluation's."""
 
@@ -75,6 +77,8 @@ def _signal(number: int, codes: set[int]) -> Callable:
         task.prepare(bench, folder)
         event = Event(random.Random(seed).random() * seconds, lambda group: signal_group(group, number))
         ended = bench.run(task.command, task.arguments(bench), Surroundings(folder), event)
+        if "Traceback" in ended.errors and not any(f'File "{ROOT / name}' in ended.errors for name in PACKAGES):
+            return []  # Python itself was still starting
         # A command may have ended before.
         return [*complaints(ended, codes | {SUCCESS}), *_half_written(task, folder), *_left_over(folder)]
 
@@ -100,7 +104,7 @@ def _named(name: str, codes: set[int]) -> Callable:
 def _renamed(argument: object, task: Task, folder: Path, name: str) -> object:
     """An argument, or the odd name of the input or output that it stands for."""
     if argument in (task.output, "run"):
-        odd = f"{name}{Path(str(argument)).suffix}"
+        odd = f"{name}{Path(str(argument)).suffix}" if argument == task.output else f"{name} of a run"
         if (folder / str(argument)).exists():
             (folder / str(argument)).rename(folder / odd)
         return odd
