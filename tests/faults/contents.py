@@ -27,11 +27,6 @@ NOT_COMPARED = re.compile(r"\.log$")
 """Files that tell the story of how they came about: only their existence is compared."""
 
 
-def is_partial(path: Path) -> bool:
-    """Whether a file is a temporary one, by the names that all writers give them."""
-    return path.name.startswith(".") and (path.suffix == ".part" or ".partial." in path.name)
-
-
 def contents(root: Path) -> dict[str, str]:
     """A digest of every file of a folder (or of one file) by its name, of what does not depend on time."""
     files = [root] if root.is_file() else sorted(path for path in root.rglob("*") if not path.is_dir())
@@ -50,7 +45,7 @@ def half_written(root: Path) -> list[str]:
     """The files under a final name that cannot be read to their end, one sentence each."""
     wrong = []
     for path in [root] if root.is_file() else sorted(root.rglob("*")):
-        if path.is_file() and not is_partial(path):
+        if path.is_file() and not path.name.startswith("."):  # temporary files and locks
             try:
                 _read_whole(path)
             except Exception as error:
