@@ -18,7 +18,7 @@ from typing import Any
 
 from tests.mutations.mutation import ROOT
 
-LIMIT = 300.0
+LIMIT = 900.0
 """Time after which a command counts as hung, s."""
 
 
