@@ -129,6 +129,7 @@ def _owner(path: Path) -> str:
     """The process that holds a lock, in words."""
     try:
         found = read_json(path)
-        return f"{found['command']} (process {found['process']} on {found['host']})"
+        words = f"{found['command']} (process {found['process']} on {found['host']})"
     except (InputError, KeyError, OSError):
         return "another process"
+    return words if words.isprintable() and len(words) < 200 else "another process"  # not ours: no escapes, no lines

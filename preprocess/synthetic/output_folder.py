@@ -88,7 +88,7 @@ def prepare_demo_folder(folder: Path, *, overwrite: bool) -> None:
         InputError: The path is not a folder, contains files without a manifest, or a demo and `overwrite` is false.
     """
     check_demo_folder(folder, overwrite=overwrite)
-    for name in _manifest(folder).get("files", []):
+    for name in _listed(folder):
         path = folder / name
         if name != MANIFEST and path.resolve().is_relative_to(folder.resolve()) and path.is_file():
             path.unlink()
@@ -113,6 +113,12 @@ def check_demo_folder(folder: Path, *, overwrite: bool) -> None:
         raise InputError(
             f"{folder}: expected a new or empty folder, found a demo; choose another with -o or pass --overwrite"
         )
+
+
+def _listed(folder: Path) -> list[str]:
+    """The files that the manifest lists."""
+    files = _manifest(folder).get("files")
+    return [name for name in files if isinstance(name, str)] if isinstance(files, list) else []
 
 
 def _manifest(folder: Path) -> dict[str, Any]:

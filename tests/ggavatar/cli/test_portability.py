@@ -33,6 +33,8 @@ LIBRARIES = (
     *("safetensors.torch", "filelock", "platformdirs", "trimesh", "kornia", "multiprocessing.pool", "shutil"),
     *("unearth", "concurrent.futures", "subprocess", "tempfile", "importlib.metadata", "xml.etree.ElementTree"),
 )
+OPTIONAL = ("gsplat", "ray")
+"""Extras, which need not be installed."""
 PREPARE = f"""
 import contextlib, ctypes, importlib, io, os, signal, sys, warnings
 warnings.simplefilter("ignore")
@@ -81,7 +83,8 @@ for name in {modules!r}:
     try:
         importlib.import_module(name)
     except Exception as error:
-        failed.append(f"{{name}}: {{error!r}}")
+        if getattr(error, "name", None) not in {OPTIONAL!r}:
+            failed.append(f"{{name}}: {{error!r}}")
 print("\\n".join(failed))
 """
     ended = without_posix(code)

@@ -84,9 +84,12 @@ def test_many_processes_take_turns(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["count"]
 
 
-def test_damaged_owner_file_still_gives_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text", ["{", "[]", "{}", '{"command": "a\\u001b[2J\\n::error::", "process": 1, "host": "b"}', "\0", ""]
+)
+def test_damaged_or_hostile_owner_file_still_gives_one_line(tmp_path: Path, text: str) -> None:
     with lock_folder(tmp_path):
-        (tmp_path / OWNER).write_text("{")
+        (tmp_path / OWNER).write_text(text)
         with pytest.raises(InputError, match="another process is writing"), lock_folder(tmp_path):
             pass
 

@@ -19,6 +19,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.images import write_png
+from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main
 from preprocess.formats.importers import metrical_tracker
 from preprocess.options import PrepOptions
@@ -47,6 +48,23 @@ def test_capture_has_the_known_pixels(capture, clip):
         image, mask = draw(clip.head, clip.record, number)
         np.testing.assert_array_equal(capture.mask(number), mask)
         assert np.abs(capture.image(number).astype(int) - image).mean() < 6
+
+
+def test_the_doctor_waits_for_nobody_and_reads_what_it_may_not_write(capture, monkeypatch, capsys):
+    """Another writer is named; a read-only capture is examined with the flag that the message names."""
+    from preprocess.doctor import diagnosis
+
+    def refuse(*_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(capture.folder))
+
+    with lock_folder(capture.folder):
+        assert doctor([str(capture.folder)]) == 2 and "is writing here" in capsys.readouterr().err
+        assert doctor([str(capture.folder), "--dry-run"]) == 0, "a reader takes no lock"
+    monkeypatch.setattr(diagnosis, "write_report", refuse)
+    assert doctor([str(capture.folder)]) == 1
+    error = capsys.readouterr().err
+    assert "cannot be written (Permission denied); add --dry-run" in error and "-o" not in error
+    assert doctor([str(capture.folder), "--dry-run"]) == 0
 
 
 def run(clip, folder, *more, **replaced):
