@@ -14,10 +14,10 @@ from ggavatar.cli.version import handle_version_flag
 
 def main() -> int:
     """Run the command; the exit code is 0 done, 1 failure, 2 bad input, 130 interrupted."""
-    handle_version_flag("ggavatar-render")
-    options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
 
     def body() -> None:
+        handle_version_flag("ggavatar-render")
+        options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
         check(options)
         from evaluate.rendering.jobs import render
 

@@ -16,6 +16,7 @@ from evaluate.protocols.results import SCHEMA as RESULTS_SCHEMA
 from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.scoring.touched import require_untouched
 from ggavatar.errors import InputError
+from ggavatar.io.folder_lock import lock_output
 from ggavatar.io.json_files import read_json, write_json
 
 SCHEMA, VERSION = "ggavatar-baseline", 1
@@ -77,9 +78,14 @@ def baseline_of(evaluation: Evaluation) -> Baseline:
 
 
 def write_baseline(path: Path, evaluations: Sequence[Evaluation]) -> None:
-    """Write the means of evaluations as a baseline file."""
+    """Write the means of evaluations as a baseline file.
+
+    Raises:
+        InputError: Another process is writing it.
+    """
     listed = [baseline_of(evaluation).as_dict() for evaluation in evaluations]
-    write_json(path, {"schema": SCHEMA, "version": VERSION, "evaluations": listed})
+    with lock_output(path):
+        write_json(path, {"schema": SCHEMA, "version": VERSION, "evaluations": listed})
 
 
 def read_baselines(path: Path) -> list[Baseline]:

@@ -35,6 +35,9 @@ from evaluate.scoring.score import SWITCHED_OFF, face_metrics, learned_metrics, 
 from evaluate.scoring.touched import changed_words, touched_images
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import remove_partial_files
+from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json
 from ggavatar.pretrained.resolve import ModelFinder
 
@@ -83,6 +86,13 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
     Returns:
         The evaluation and its files.
     """
+    make_folder(job.home)
+    with lock_folder(job.home):
+        remove_partial_files(job.home, *(job.home / name for name in FOLDERS), *(job.home / "regions").glob("*"))
+        return _evaluate_locked(job, options, reporter)
+
+
+def _evaluate_locked(job: Job, options: Options, reporter: Reporter) -> tuple[Evaluation, list[Path]]:
     home, protocol = job.home, job.protocol
     if reason := _stale(job):
         reporter.warn(f"{home}: made again, because {reason} changed since the last evaluation")
@@ -172,11 +182,11 @@ def remove_evaluation(home: Path) -> None:
     recorded = [path for path, _ in read_digests(home).values()]
     for path in (*recorded, *(folder / name for folder in folders for name in names)):
         path.unlink(missing_ok=True)
-    for name in (METRICS_FILE, FRAMES_FILE, SUMMARY, SUMS):
-        (home / name).unlink(missing_ok=True)
     for path in folders:
         if path.is_dir() and not any(path.iterdir()):
             path.rmdir()
+    for name in (METRICS_FILE, FRAMES_FILE, SUMS, SUMMARY):  # the summary last: it says that the folder is ours
+        (home / name).unlink(missing_ok=True)
 
 
 def _read_tolerantly(path: Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,9 @@ from ggavatar.errors import InputError, nearest
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
+from ggavatar.io.atomic import write_atomically
 from ggavatar.io.digests import sha256_of
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import image_header
 from ggavatar.io.json_files import write_sealed_json
 from ggavatar.training.run_folder import RunConfig, find_capture, read_config, read_split
@@ -220,10 +221,11 @@ def _copy_pictures(
 
     def copy(number: int, size: tuple[int, int]) -> Path:
         target = home / FOLDERS[0] / f"{number:06d}{files[number].suffix.lower()}"
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         for old in target.parent.glob(f"{number:06d}.*"):
             old.unlink()
-        shutil.copyfile(files[number], target)
+        content = files[number].read_bytes()
+        write_atomically(target, lambda stream: stream.write(content), durable=False)
         return target
 
     filled = fill_frames(home, task, capture, copy, digests, progress)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +18,7 @@ from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 from ggavatar.formats.splats.file_kinds import SUFFIXES
+from ggavatar.io.held_folders import hold_folder
 
 SUBMISSION = "nersemble-submission"
 SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
@@ -45,6 +47,8 @@ class Arguments:
     """Export these source frames of the run's capture, one file each."""
     drive: Path | None = None
     """Export every row of an .npz of head parameters (as for ggavatar-render --drive, or a flame_param.npz)."""
+    capture: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Where the capture of a run is now, if it was moved away from the run."""
     step: int | None = None
     """Step of the checkpoint; the newest if not given."""
     device: str = "auto"
@@ -68,11 +72,13 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-export; returns the exit code (0 success, 1 failure, 2 invalid input)."""
-    given = None if arguments is None else list(arguments)
-    config = (tyro.conf.FlagCreatePairsOff,)
+    return run_command(lambda: _export(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(given: list[str] | None) -> Arguments:
     handle_version_flag("ggavatar-export", given)
-    parsed = tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
-    return run_command(lambda: _export(parsed))
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
 
 
 def _description() -> str:
@@ -93,14 +99,22 @@ def _export(arguments: Arguments) -> int:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
     _check_suffix(arguments)
-    if kind == SUBMISSION:
-        lines = _export_submission(arguments)
-    elif is_gaussian_file(arguments.source):
-        lines = _export_file(arguments)
-    else:
-        lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
+    exporter = _exporter(arguments)
+    if arguments.capture is not None and exporter is not _export_run:
+        raise InputError(f"{arguments.source}: --capture belongs to a run, found another source; leave it out")
+    with hold_folder(arguments.source) if arguments.source.is_dir() else contextlib.nullcontext():
+        lines = exporter(arguments)
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return 0
+
+
+def _exporter(arguments: Arguments) -> Callable[[Arguments], list[str]]:
+    """What writes the format, from the kind of source."""
+    if arguments.kind == SUBMISSION:
+        return _export_submission
+    if is_gaussian_file(arguments.source):
+        return _export_file
+    return _export_run if arguments.kind in RUN_FORMATS else _export_capture
 
 
 def _check_suffix(arguments: Arguments) -> None:
@@ -190,7 +204,7 @@ def _export_run(arguments: Arguments) -> list[str]:
     from ggavatar.training.run_folder import open_run
 
     device = resolve_device(arguments.device)
-    run = open_run(arguments.source, device, arguments.step)
+    run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
     head = load_head(run.capture.head_path).to(device, torch.float32)
     if arguments.drive is not None:
         drives = file_drives(arguments.drive, run, head)

@@ -35,10 +35,12 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-models; returns the exit code (0 success, 1 failure, 2 missing or damaged file)."""
-    given = None if arguments is None else list(arguments)
+    return run_command(lambda: _models(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(given: list[str] | None) -> Arguments:
     handle_version_flag("ggavatar-models", given)
-    parsed = tyro.cli(Arguments, prog="ggavatar-models", args=given, config=(tyro.conf.FlagCreatePairsOff,))
-    return run_command(lambda: _models(parsed))
+    return tyro.cli(Arguments, prog="ggavatar-models", args=given, config=(tyro.conf.FlagCreatePairsOff,))
 
 
 def _models(arguments: Arguments) -> int:

@@ -23,6 +23,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError
+from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.held_folders import make_folder
 from ggavatar.sweeps.backends import Backend, CellTraining, LocalProcesses, Outcome, RayCluster
 from ggavatar.sweeps.cell import Cell, find_console_script, train_cell
 from ggavatar.training import registry
@@ -75,9 +77,12 @@ class Arguments:
 
 def main() -> int:
     """Entry point of ggavatar-sweep."""
+    return run_command(lambda: sweep(_parse()))
+
+
+def _parse() -> Arguments:
     handle_version_flag("ggavatar-sweep")
-    arguments = tyro.cli(Arguments, prog="ggavatar-sweep")
-    return run_command(lambda: sweep(arguments))
+    return tyro.cli(Arguments, prog="ggavatar-sweep")
 
 
 def sweep(arguments: Arguments) -> int:
@@ -85,6 +90,12 @@ def sweep(arguments: Arguments) -> int:
     backend = make_backend(arguments)
     cells = grid(arguments)
     check(arguments, cells)
+    make_folder(arguments.output)
+    with lock_folder(arguments.output):
+        return _train_and_evaluate(cells, arguments, backend)
+
+
+def _train_and_evaluate(cells: Sequence[Cell], arguments: Arguments, backend: Backend) -> int:
     outcomes = _train_all(cells, arguments, backend)
     if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED

@@ -65,9 +65,12 @@ class Arguments:
 
 def train() -> int:
     """Entry point of ggavatar-train."""
+    return run_command(lambda: _train(_parse()))
+
+
+def _parse() -> Arguments:
     handle_version_flag("ggavatar-train")
-    arguments = tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
-    return run_command(lambda: _train(arguments))
+    return tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
 
 
 def _description() -> str:

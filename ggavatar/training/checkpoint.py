@@ -21,8 +21,9 @@ from safetensors import torch as safetensors
 from torch import Tensor, nn
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import require_folder, write_atomically
+from ggavatar.io.atomic import write_atomically
 from ggavatar.io.digests import sha256_of
+from ggavatar.io.held_folders import require_folder
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.regular_files import read_file
 

@@ -10,6 +10,7 @@ from typing import Any
 from ggavatar.data.capture import TRACKING, Capture, Tracking
 from ggavatar.data.capture_schema import read_tracking
 from ggavatar.data.splits import split_frames, split_name
+from ggavatar.io.held_folders import make_folder
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
 
@@ -58,7 +59,7 @@ def _put_aside(capture: Capture) -> None:
     """Move images and masks of dropped frames into the records, where they are no part of the capture."""
     for folder in FOLDERS:
         aside = capture.folder / DROPPED / folder
-        aside.mkdir(parents=True, exist_ok=True)
+        make_folder(aside)
         for item in capture.dropped:
             path = capture.image_path(folder, item["frame"])
             if path.exists():
@@ -69,7 +70,7 @@ def restore_dropped(folder: Path) -> None:
     """Move them back: another run of a stage may drop other frames."""
     for name in FOLDERS:
         for path in sorted((folder / DROPPED / name).glob("[0-9]*.png")):
-            (folder / name).mkdir(exist_ok=True)
+            make_folder(folder / name)
             path.replace(folder / name / path.name)
 
 

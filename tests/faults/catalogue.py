@@ -5,10 +5,10 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Sequence
 
-from tests.faults import kill
+from tests.faults import disk, kill, surroundings
 from tests.faults.case import Row
 
-ROWS: tuple[Row, ...] = (*kill.ROWS,)
+ROWS: tuple[Row, ...] = (*kill.ROWS, *disk.ROWS, *surroundings.ROWS)
 
 
 def named(patterns: Sequence[str], rows: Sequence[Row] = ROWS) -> list[Row]:

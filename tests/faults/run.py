@@ -16,6 +16,8 @@ def run_case(row: Row, case: Case, bench: Bench) -> Outcome:
     began = time.monotonic()
     try:
         wrong = tuple(row.check(case, bench))
+    except AssertionError as error:
+        wrong = (f"the check failed: {error}",)
     except Exception:
         wrong = (f"the check failed:\n{traceback.format_exc()}",)
     return Outcome(case, wrong, time.monotonic() - began)
