@@ -28,8 +28,8 @@ MAX_VALUE_BYTES = 1 << 29
 SEAL = "content_sha256"
 """Entry of a sealed file: SHA-256 of all other entries."""
 
-_COSTS = {b",": 64, b"[": 96, b"{": 240, b":": 160}
-"""About what CPython needs for the value, list, object or name of one such character, bytes."""
+_COSTS = {b",": 64, b"[": 96, b"{": 240, b":": 160, b'"': 16}
+"""About what CPython needs for the value, list, object, name or text of one such character, bytes."""
 
 _LARGEST = 1 << 64
 _SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")

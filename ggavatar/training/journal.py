@@ -24,10 +24,10 @@ class Journal:
         """Keep the lines up to step `after`, cut off the others, and append from now on.
 
         Raises:
-            InputError: The path is a link, whose target may be someone else's.
+            InputError: The path is a link, whose target may be someone else's, or a folder, pipe or device.
         """
-        if path.is_symlink():
-            raise InputError(f"{path}: expected a journal of a training, found a link; remove it")
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise InputError(f"{path}: expected a journal of a training, found a link or no file; remove it")
         end = max((end for end, record in _records(path) if record["step"] <= after), default=0)
         self._file = path.open("r+b" if path.exists() else "xb")
         self._file.truncate(end)

@@ -271,7 +271,8 @@ def write_config(folder: Path, config: RunConfig, split: Split) -> None:
         relative = os.path.relpath(capture, folder.resolve())
     except ValueError:  # on another drive of Windows
         relative = ""
-    write_sealed_json(folder / "split.json", {"name": config.split, "train": list(split.train), "test": list(split.test)})
+    lists = {"train": list(split.train), "test": list(split.test)}
+    write_sealed_json(folder / "split.json", {"name": config.split, **lists})
     write_sealed_json(
         folder / "config.json", {"schema": SCHEMA, "version": VERSION, "capture_relative": relative, **to_plain(config)}
     )

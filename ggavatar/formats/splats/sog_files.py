@@ -20,8 +20,8 @@ from ggavatar.io.regular_files import read_file, read_start
 from ggavatar.io.zip_files import open_zip, read_zipped
 
 MAX_IMAGE_BYTES = 1 << 29
-LARGE_IMAGE, MAX_RATIO = 1 << 22, 1100
-"""An image of more pixels that is packed better than this was made to fill the memory."""
+LARGE_IMAGE, MAX_RATIO = 1 << 20, 50
+"""An image of more pixels that is packed better than this was made to fill the memory; Gaussians pack three times."""
 _ADVICE, _EXPECTED = "export it again", "a SOG (a zip archive)"
 
 

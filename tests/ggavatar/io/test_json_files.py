@@ -8,6 +8,7 @@ import pytest
 
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import read_json, write_json
+from tests.support.measured import costs
 
 
 def test_round_trip(tmp_path: Path) -> None:
@@ -23,6 +24,19 @@ def test_round_trip(tmp_path: Path) -> None:
         (b"[" * 100_000, "not valid JSON"),
         (b'{"a": NaN}', "NaN is not a JSON number"),
         (b'{"a": "\xff"}', "not valid JSON"),
+        (b'{"a": ' * 100_000, "nested too deeply"),
+        (b'{"a": -Infinity}', "-Infinity is not a JSON number"),
+        (b'{"a": 1e999}', "1e999 is too large"),
+        (b'{"a": ' + b"9" * 401 + b"}", "too large for a 64-bit number"),
+        (b'{"a": 18446744073709551616}', "too large for a 64-bit number"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "too large for a 64-bit number"),
+        (b'{"a": 1, "b": 2, "a": 3}', "the name 'a' is there twice"),
+        (b'{"a": "\\ud800"}', "half a character"),
+        (b'{"\\uDC00x": 1}', "half a character"),
+        (b'{"a": [' + b"{}," * 4_000_000 + b"0]}", "more values than 512 MiB hold"),
+        (b"1", "expected a JSON object, found int"),
+        (b"null", "expected a JSON object, found NoneType"),
+        (b"\xff\xfe{\x00}\x00", "not valid JSON"),
         (b"[]", "expected a JSON object, found list"),
         (b'{"a": "' + bytes(200) + b'"}', "expected a JSON file of at most 100 bytes, found 209 bytes"),
     ],
@@ -31,7 +45,7 @@ def test_damage_is_one_message(content: bytes, message: str, tmp_path: Path) -> 
     path = tmp_path / "damaged.json"
     path.write_bytes(content)
     with pytest.raises(InputError, match=message) as caught:
-        read_json(path, limit=100 if b"\0" in content else 1 << 20)
+        read_json(path, limit=100 if bytes(200) in content else 1 << 24)
     assert str(caught.value).count(str(path)) == 1
 
 
@@ -46,3 +60,24 @@ def test_nothing_is_written_that_is_not_json(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "a.json", {"a": float("nan")})
     assert not any(tmp_path.iterdir())
+
+
+def test_what_is_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    text = '{"a": 18446744073709551615, "b": -1e308, "c": "\\ud83d\\ude00 \\\\ud800 é", "d": {"a": 1}}'
+    path.write_bytes(text.encode())
+    assert read_json(path) == {"a": 2**64 - 1, "b": -1e308, "c": "😀 \\ud800 é", "d": {"a": 1}}
+
+
+def test_a_large_file_of_small_values_takes_little_memory(tmp_path: Path) -> None:
+    """Lists of numbers, objects and texts at the limit of what is accepted, measured in a process of its own."""
+    kinds = {"numbers": b"0.5,", "lists": b"[],", "objects": b'{"a":[]},', "texts": b'"ab",', "wide": '"é😀",'.encode()}
+    files = []
+    for name, part in kinds.items():
+        weights = {b",": 64, b"[": 96, b"{": 240, b":": 160, b'"': 16}
+        cost = sum(weight * part.count(mark) for mark, weight in weights.items())
+        count = min(((1 << 29) - 1000) // cost, ((1 << 26) - 100) // len(part))
+        files.append(tmp_path / f"{name}.json")
+        files[-1].write_bytes(b'{"a": [' + part * count + b"0]}")
+    for found in costs("ggavatar.io.json_files", "read_json", files):
+        assert found.message is None and found.seconds < 10 and found.peak < 1000, found

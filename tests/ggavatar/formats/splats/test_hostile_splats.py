@@ -8,12 +8,15 @@ from __future__ import annotations
 import json
 import random
 import resource
+import struct
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 
 from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_files import read_gaussians
@@ -103,3 +106,34 @@ def test_a_line_without_end(tmp_path: Path) -> None:
     assert not read(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_bytes(b"ply\ncomment " + b"x" * 20_000_000)
     assert not read(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("version", [2, 4])
+def test_a_small_file_of_many_gaussians(version: int, tmp_path: Path) -> None:
+    """Eight million Gaussians that are all zero: packed 700 times, so that no such file is of Gaussians."""
+    count = 8_000_000
+    head = struct.pack("<4sIIBBBB", b"NGSP", version, count, 0, 12, 0, 0 if version == 2 else 5)
+    if version == 2:
+        packer = zlib.compressobj(9, wbits=31)
+        data = packer.compress(head) + b"".join(packer.compress(bytes(19 * 100_000)) for _ in range(80))
+        data += packer.flush()
+    else:
+        streams = [zstandard.ZstdCompressor().compress(bytes(count * size)) for size in (9, 1, 3, 3, 4)]
+        sizes = [count * size for size in (9, 1, 3, 3, 4)]
+        table = b"".join(struct.pack("<QQ", len(s), size) for s, size in zip(streams, sizes, strict=True))
+        data = head + struct.pack("<I", 32) + bytes(12) + table + b"".join(streams)
+    path = tmp_path / "bomb.spz"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=rf"bomb\.spz: the file of {len(data)} bytes is too small"):
+        read_gaussians(path)
+
+
+def test_a_small_image_of_many_gaussians(tmp_path: Path) -> None:
+    """Images of a SOG with four million equal pixels."""
+    meta, images = sog_2()
+    images = {name: np.zeros((2048, 2048, 4), np.uint8) for name in images}
+    meta = meta | {"count": 2048 * 2048}
+    path = tmp_path / "bomb.sog"
+    path.write_bytes(zipped(sog(meta, images)))
+    with pytest.raises(InputError, match=r"bomb\.sog: .* is too small for 2048×2048 pixels"):
+        read_gaussians(path)
