@@ -13,7 +13,7 @@ import os
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from ggavatar.errors import InputError
 
@@ -21,7 +21,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
 _NO_FILE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
-def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
+def open_regular(path: Path, expected: str = "a file") -> io.BufferedReader:
     """Open a regular file for reading, in binary.
 
     Args:

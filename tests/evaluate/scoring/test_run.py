@@ -162,6 +162,22 @@ def test_damaged_results_are_made_again(run: Run) -> None:
     json.loads(files[0].read_text())
 
 
+@pytest.mark.parametrize("name", ["metrics.json", "per_frame.csv", "predict.json"])
+def test_a_changed_number_is_noticed_and_made_again(run: Run, name: str) -> None:
+    """The last digit of the file that is part of a value that we measured."""
+    first, files = evaluate_run(run.folder, OPTIONS, silent)
+    path = files[0].parent / name
+    before = path.read_text()
+    mark = {"metrics.json": '"mse": [', "per_frame.csv": ",0.", "predict.json": '"model_megabytes": '}[name]
+    place = before.index(mark) + len(mark) + 2
+    path.write_text(f"{before[:place]}{(int(before[place]) + 1) % 10}{before[place + 1 :]}")
+    listener = SilentReporter()
+    again, _ = evaluate_run(run.folder, OPTIONS, listener)
+    assert again.values == first.values and listener.warnings
+    if name != "predict.json":
+        assert path.read_text() == before and name in listener.warnings[0]
+
+
 def test_test_frames_that_were_trained_on_are_refused(run: Run) -> None:
     with pytest.raises(InputError, match="has not seen the test frames"):
         evaluate_run(run.folder, dataclasses.replace(OPTIONS, override=Override(split="ratio-0.5")), silent)

@@ -121,17 +121,19 @@ def _capture(folder: Path) -> None:
 
 
 def _avatar(folder: Path) -> None:
-    """A capture, a run of three steps on it, and an evaluation of the run."""
+    """A capture, a run of three steps on it, and an evaluation of the run; moved, so that a copy's capture is its own."""
     from evaluate.protocols.results import FRAMES_FILE, read_results
     from tests.faults.hostile.readers import EXPECTED, comparable, run_command
 
-    _capture(folder / "capture")
+    made = folder.with_name(f"{folder.name}-elsewhere")
+    _capture(made / "capture")
     train = ("gaussian_avatars", "--steps", "3", "--device", "cpu", "-q", "--set", "perceptual_weight=0")
-    run_command("ggavatar.cli.train:train", str(folder / "capture"), *train, "-o", str(folder / "run"))
-    run_command("evaluate.cli.evaluate:main", str(folder / "run"), "--no-learned", "-q")
-    (home,) = (folder / "run" / "eval").iterdir()
+    run_command("ggavatar.cli.train:train", str(made / "capture"), *train, "-o", str(made / "run"))
+    run_command("evaluate.cli.evaluate:main", str(made / "run"), "--no-learned", "-q")
+    (home,) = (made / "run" / "eval").iterdir()
     expected = {"numbers": comparable(read_results(home)), "per_frame.csv": (home / FRAMES_FILE).read_text("utf-8")}
-    (folder / EXPECTED).write_text(json.dumps(expected), encoding="utf-8")
+    (made / EXPECTED).write_text(json.dumps(expected), encoding="utf-8")
+    made.rename(folder)
 
 
 def _pictures(folder: Path) -> None:
