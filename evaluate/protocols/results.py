@@ -190,7 +190,6 @@ def _from_dict(content: Mapping[str, Any]) -> Evaluation:
     identical = {name: set(_all(int, numbers)) for name, numbers in _mapping(content, "identical").items()}
     values: dict[str, tuple[Value, ...]] = {}
     for name, column in _mapping(content, "per_frame").items():
-        metric_of(name)
         infinite, column = identical.get(name, set()), _all((int, float, NoneType), column)
         values[name] = tuple(math.inf if n in infinite else v for n, v in zip(frames, column, strict=True))
     summary = _mapping(content, "summary")

@@ -123,14 +123,20 @@ def _overlapping(copies: int = 250, size: int = 4 << 20) -> bytes:
     packed = body.compress(content) + body.flush()
     checksum = zlib.crc32(content)
     name = b"a.npy"
-    local = b"PK\x03\x04" + struct.pack("<HHHHHIIIHH", 20, 0, 8, 0, 0, checksum, len(packed), len(content), len(name), 0)
+    local = b"PK\x03\x04" + struct.pack(
+        "<HHHHHIIIHH", 20, 0, 8, 0, 0, checksum, len(packed), len(content), len(name), 0
+    )
     start = local + name + packed
     directory = b""
     for number in range(copies):
         own = f"{number}.npy".encode()
-        directory += b"PK\x01\x02" + struct.pack(
-            "<HHHHHHIIIHHHHHII", 20, 20, 0, 8, 0, 0, checksum, len(packed), len(content), len(own), 0, 0, 0, 0, 0, 0
-        ) + own  # fmt: skip
+        directory += (
+            b"PK\x01\x02"
+            + struct.pack(
+                "<HHHHHHIIIHHHHHII", 20, 20, 0, 8, 0, 0, checksum, len(packed), len(content), len(own), 0, 0, 0, 0, 0, 0
+            )
+            + own
+        )
     end = b"PK\x05\x06" + struct.pack("<HHHHIIH", 0, 0, copies, copies, len(directory), len(start), 0)
     return start + directory + end
 
@@ -176,7 +182,7 @@ def _archives() -> dict[str, bytes]:
         "nothing": b"",
         "PK": b"PK",
         "zip64 fields of 2^63": small[:-22] + b"PK\x06\x06" + b"\xff" * 52 + small[-22:],
-    }  # fmt: skip
+    }
 
 
 def fixtures() -> list[Hostile]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import numpy as np
 
 from tests.faults.hostile import samples
 from tests.faults.hostile.fixture import remove
+from tests.mutations.mutation import ROOT
 
 FILES, RUN, PICTURES, FRAMES = "files", "avatar", "pictures", "frames"
 """Trees: single files; a capture and a run with its evaluation; pictures beside ground truth; a folder of images."""
@@ -59,6 +62,24 @@ class Trees:
                 remove(extra)
         self.scratch.mkdir()
         (self.sandbox / "victim.txt").write_text("must stay")
+
+
+def make_trees(home: Path) -> Path:
+    """Make every valid tree below a folder, in a process of its own: trainings handle signals."""
+    code = f"from pathlib import Path; from {__name__} import make_tree, names; "
+    code += "import sys; [make_tree(name, Path(sys.argv[1]) / name) for name in names()]"
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(home)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, f"the valid files could not be made:\n{ended.stderr[-2000:]}"
+    return home
+
+
+def names() -> list[str]:
+    """The names of all trees."""
+    from preprocess.formats.registry import importer_names
+
+    return [*_MAKERS, *importer_names()]
 
 
 def make_tree(name: str, folder: Path) -> Path:
@@ -121,7 +142,7 @@ def _capture(folder: Path) -> None:
 
 
 def _avatar(folder: Path) -> None:
-    """A capture, a run of three steps on it, and an evaluation of the run; moved, so that a copy's capture is its own."""
+    """A capture, a run of three steps on it, and its evaluation; moved, so that a copy has its own capture."""
     from evaluate.protocols.results import FRAMES_FILE, read_results
     from tests.faults.hostile.readers import EXPECTED, comparable, run_command
 

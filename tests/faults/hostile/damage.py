@@ -1,9 +1,9 @@
-"""Fixtures made by chance: mutations of every format and of every file of a capture and a run, and bit flips of these."""
+"""Fixtures made by chance: mutations of every format and every file of a capture and a run, and bit flips of these."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,18 +33,18 @@ def single_files() -> Iterator[Subject]:
             yield Subject(FILES, name, reader, name)
 
 
-def trackings(originals: Callable[[str], Path]) -> Iterator[Subject]:
+def trackings(originals: Path) -> Iterator[Subject]:
     """A file of each suffix of every importer's layout."""
     for name in importer_names():
-        by_suffix = {Path(file).suffix: file for file in files_of(originals(name))}
+        by_suffix = {Path(file).suffix: file for file in files_of(originals / name)}
         for file in by_suffix.values():
             yield Subject(name, file, f"tracking:{name}", tracking_target(name))
             yield Subject(name, file, "tracking", tracking_target(name))
 
 
-def capture_and_run(originals: Callable[[str], Path]) -> Iterator[Subject]:
+def capture_and_run(originals: Path) -> Iterator[Subject]:
     """Every file of a capture, a run and its evaluation, opened as what it belongs to."""
-    for file in files_of(originals(RUN)):
+    for file in files_of(originals / RUN):
         if Path(file).name in IGNORED:
             continue
         if file.startswith("capture/"):
@@ -54,14 +54,14 @@ def capture_and_run(originals: Callable[[str], Path]) -> Iterator[Subject]:
         yield Subject(RUN, file, "eval", ".")
 
 
-def folders(originals: Callable[[str], Path]) -> Iterator[Subject]:
+def folders(originals: Path) -> Iterator[Subject]:
     """Images that are read from a folder."""
     for name, reader in ((PICTURES, "pictures"), (FRAMES, "frames")):
-        for file in files_of(originals(name)):
+        for file in files_of(originals / name):
             yield Subject(name, file, reader, ".")
 
 
-def mutations(originals: Callable[[str], Path], count: int, seed: int) -> list[Fixture]:
+def mutations(originals: Path, count: int, seed: int) -> list[Fixture]:
     """That many mutations, spread over all files alike; commands, which take longer, get a tenth of a reader's."""
     subjects = [*single_files(), *trackings(originals), *folders(originals), *capture_and_run(originals)]
     quick = [subject for subject in subjects if subject.reader != "eval"]
@@ -82,7 +82,7 @@ def _siblings(subject: Subject, subjects: Sequence[Subject]) -> list[str]:
     return sorted({other.file for other in subjects if other.base == subject.base})
 
 
-def flips(originals: Callable[[str], Path], count: int, seed: int) -> list[Fixture]:
+def flips(originals: Path, count: int, seed: int) -> list[Fixture]:
     """That many bit flips over all files of a capture, a run and its evaluation."""
     files = [subject.file for subject in capture_and_run(originals) if subject.reader == "eval"]
     found: list[Fixture] = []

@@ -65,7 +65,9 @@ def _onnx(*nodes: bytes, tensors: bytes = b"") -> bytes:
 
 
 def _node(kind: bytes, inputs: tuple[bytes, ...] = (b"src",), outputs: tuple[bytes, ...] = (b"out",)) -> bytes:
-    return b"".join(_field(1, name) for name in inputs) + b"".join(_field(2, name) for name in outputs) + _field(4, kind)
+    return (
+        b"".join(_field(1, name) for name in inputs) + b"".join(_field(2, name) for name in outputs) + _field(4, kind)
+    )
 
 
 def _outside(location: bytes) -> bytes:
@@ -98,7 +100,7 @@ def _networks() -> dict[str, bytes]:
         "text": b"hello\n",
         "zeros": bytes(100_000),
         "nothing": b"",
-    }  # fmt: skip
+    }
 
 
 def _script() -> bytes:
@@ -155,7 +157,9 @@ def _fixtures() -> Iterator[Hostile]:
             yield Hostile(title, FILES, "landmark-networks", NETWORK, {NETWORK: data}, True)
             inner = zipfile.ZipFile(io.BytesIO(FILES_BY_NAME[BUNDLE]())) if BUNDLE in FILES_BY_NAME else None
             if inner is not None:
-                yield Hostile(f"{title} in a bundle", FILES, "landmark-networks", BUNDLE, {BUNDLE: _swapped(inner, data)}, True)
+                yield Hostile(
+                    f"{title} in a bundle", FILES, "landmark-networks", BUNDLE, {BUNDLE: _swapped(inner, data)}, True
+                )
 
 
 def _mask(title: str, name: str, data: bytes) -> Hostile:

@@ -1,4 +1,4 @@
-"""What the outputs of an evaluation must never hold, whatever the names in them: checked with parsers of each format."""
+"""What the outputs of an evaluation must never hold, whatever the names in them, by parsers of each format."""
 
 from __future__ import annotations
 
@@ -51,13 +51,17 @@ def check_csv(text: str) -> list[str]:
 
 def check_markdown(text: str) -> list[str]:
     """Whether a name became an image, a link or markup."""
-    found = re.findall(r"(?<!\\)!\[[^\]]*\]\([^)]*\)|(?<!\\)\]\(\s*(?:javascript|http)[^)]*\)|(?<!\\)<(?:script|img|svg|a )", text)
+    found = re.findall(
+        r"(?<!\\)!\[[^\]]*\]\([^)]*\)|(?<!\\)\]\(\s*(?:javascript|http)[^)]*\)|(?<!\\)<(?:script|img|svg|a )", text
+    )
     return [f"markup {part!r:.60}" for part in found]
 
 
 def check_latex(text: str) -> list[str]:
     """Whether a name became a command that reads, writes or runs."""
-    return [f"command {part}" for part in re.findall(r"\\(?:write|input|immediate|openout|include|csname|catcode)", text)]
+    return [
+        f"command {part}" for part in re.findall(r"\\(?:write|input|immediate|openout|include|csname|catcode)", text)
+    ]
 
 
 def check_json(text: str) -> list[str]:
@@ -75,14 +79,20 @@ def check_junit(text: str) -> list[str]:
 def check_terminal(text: str) -> list[str]:
     """Whether a terminal or a CI runner would take something for a command."""
     wrong = [f"control character {found!r}" for found in _CONTROL.findall(text)[:3]]
-    commands = [line for line in text.splitlines() if line.startswith(("::set-output", "##[")) or "::owned" in line[:60]]
+    commands = [
+        line for line in text.splitlines() if line.startswith(("::set-output", "##[")) or "::owned" in line[:60]
+    ]
     return wrong + [f"workflow command {line!r:.60}" for line in commands if not line.startswith("::error title=")]
 
 
 _CHECKS = {
-    ".html": check_html, ".csv": check_csv, ".md": check_markdown, ".tex": check_latex, ".json": check_json,
+    ".html": check_html,
+    ".csv": check_csv,
+    ".md": check_markdown,
+    ".tex": check_latex,
+    ".json": check_json,
     ".xml": check_junit,
-}  # fmt: skip
+}
 
 
 def check_outputs(folder: Path, printed: str) -> list[str]:

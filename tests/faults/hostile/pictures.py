@@ -44,14 +44,19 @@ def _pngs() -> dict[str, bytes]:
         "no width": _SIGNATURE + ihdr(0, 8) + chunk(b"IDAT", b""),
         "34 megapixels from nothing": _SIGNATURE + ihdr(8000, 4200) + chunk(b"IDAT", zlib.compress(bytes(30_000))),
         "34 megapixels of zeros": png(size=(8000, 4200)),
-        "16 bits, 34 megapixels": _SIGNATURE + ihdr(8000, 4200, 16, 6) + chunk(b"IDAT", zlib.compress(bytes(300 << 20), 1)),
+        "16 bits, 34 megapixels": _SIGNATURE
+        + ihdr(8000, 4200, 16, 6)
+        + chunk(b"IDAT", zlib.compress(bytes(300 << 20), 1)),
         "7 bits": _SIGNATURE + ihdr(8, 8, 7) + chunk(b"IDAT", zlib.compress(bytes(200))),
         "255 bits": _SIGNATURE + ihdr(8, 8, 255) + chunk(b"IDAT", zlib.compress(bytes(200))),
         "an unknown color type": _SIGNATURE + ihdr(8, 8, 8, 5) + chunk(b"IDAT", zlib.compress(bytes(200))),
         "an unknown interlacing": _SIGNATURE + ihdr(8, 8, rest=b"\0\0\x09") + chunk(b"IDAT", zlib.compress(bytes(200))),
         "interlaced": _SIGNATURE + ihdr(8, 8, rest=b"\0\0\x01") + chunk(b"IDAT", zlib.compress(bytes(200))),
         "a palette that is missing": _SIGNATURE + ihdr(8, 8, 8, 3) + chunk(b"IDAT", zlib.compress(bytes(72))),
-        "a palette of 7 bytes": _SIGNATURE + ihdr(8, 8, 8, 3) + chunk(b"PLTE", bytes(7)) + chunk(b"IDAT", zlib.compress(bytes(72))),
+        "a palette of 7 bytes": _SIGNATURE
+        + ihdr(8, 8, 8, 3)
+        + chunk(b"PLTE", bytes(7))
+        + chunk(b"IDAT", zlib.compress(bytes(72))),
         "300 bombs of text": png(*[text] * 300),
         "a text of 50 MB": png(text),
         "an international text of 50 MB": png(chunk(b"iTXt", b"k\0\1\0\0\0" + bomb)),
@@ -66,7 +71,10 @@ def _pngs() -> dict[str, bytes]:
         "no header": _SIGNATURE + chunk(b"IDAT", zlib.compress(bytes(200))) + chunk(b"IEND", b""),
         "no pixels": _SIGNATURE + ihdr(8, 8) + chunk(b"IEND", b""),
         "no end": png()[:-12],
-        "pixels of 2 GB": _SIGNATURE + ihdr(8, 8) + chunk(b"IDAT", zlib.compress(bytes(200 << 20), 9)) + chunk(b"IEND", b""),
+        "pixels of 2 GB": _SIGNATURE
+        + ihdr(8, 8)
+        + chunk(b"IDAT", zlib.compress(bytes(200 << 20), 9))
+        + chunk(b"IEND", b""),
         "a wrong filter": png(pixels=bytes([9]) * 200),
         "EXIF that points at itself": png(deep),
         "EXIF of 8 MB": png(chunk(b"eXIf", b"II*\0\x08\0\0\0" + b"\xff" * (8 << 20))),
@@ -80,7 +88,7 @@ def _pngs() -> dict[str, bytes]:
         "a million frames": png(*[chunk(b"fcTL", bytes(26))] * 50_000),
         "only the signature": _SIGNATURE,
         "half a header": _SIGNATURE + ihdr(8, 8)[:10],
-    }  # fmt: skip
+    }
 
 
 def _segment(marker: int, data: bytes) -> bytes:
@@ -116,9 +124,9 @@ def _jpegs() -> dict[str, bytes]:
         "100,000 comments": small[:2] + _segment(0xFE, b"") * 100_000 + small[2:],
         "a segment of no length": small[:2] + b"\xff\xe1\0\0" + small[2:],
         "EXIF of 65,535 entries": small[:2] + _segment(0xE1, exif[:60_000]) + small[2:],
-        "255 pieces of a profile": small[:2] + b"".join(
-            _segment(0xE2, b"ICC_PROFILE\0" + bytes([n, 255]) + bytes(60_000)) for n in range(1, 256)
-        ) + small[2:],
+        "255 pieces of a profile": small[:2]
+        + b"".join(_segment(0xE2, b"ICC_PROFILE\0" + bytes([n, 255]) + bytes(60_000)) for n in range(1, 256))
+        + small[2:],
         "a piece 0 of 0 of a profile": small[:2] + _segment(0xE2, b"ICC_PROFILE\0\0\0") + small[2:],
         "four channels": small.replace(b"\x03\x01\x22\x00", b"\x04\x01\x22\x00"),
         "12 bits": small.replace(b"\xff\xc0\x00\x11\x08", b"\xff\xc0\x00\x11\x0c"),
@@ -126,7 +134,7 @@ def _jpegs() -> dict[str, bytes]:
         "lossless": small.replace(b"\xff\xc0\x00\x11", b"\xff\xc3\x00\x11"),
         "only a start": b"\xff\xd8",
         "no frame": b"\xff\xd8\xff\xd9",
-    }  # fmt: skip
+    }
 
 
 def _resized(data: bytes, width: int, height: int) -> bytes:
@@ -152,13 +160,14 @@ def _others() -> dict[str, bytes]:
         "SVG with an entity": svg,
         "PostScript": b"%!PS-Adobe-3.0 EPSF-3.0\n(canary) (w) file\n",
         "a GIF of 65,535 px": b"GIF89a" + struct.pack("<HH", 65535, 65535) + b"\x00\x00\x00,;",
-        "a BMP of 2^31 px": b"BM" + struct.pack("<IIIIiiHHIIIIII", 54, 0, 54, 40, 1 << 30, 1 << 30, 1, 24, 0, 0, 0, 0, 0, 0),
+        "a BMP of 2^31 px": b"BM"
+        + struct.pack("<IIIIiiHHIIIIII", 54, 0, 54, 40, 1 << 30, 1 << 30, 1, 24, 0, 0, 0, 0, 0, 0),
         "MVG": b"push graphic-context\nimage over 0,0 0,0 '|touch canary'\npop graphic-context\n",
         "PBM of 10^9 px": b"P4 1000000000 1000000000\n",
         "OpenEXR of 2^31 px": b"v/1\x01\x02\0\0\0" + b"dataWindow\0box2i\0\x10\0\0\0" + b"\xff\xff\xff\x7f" * 4,
         "HTML": b"<html><script>alert(1)</script>",
         "a shell script": b"#!/bin/sh\ntouch canary\n",
-    }  # fmt: skip
+    }
 
 
 def fixtures() -> list[Hostile]:

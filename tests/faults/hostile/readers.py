@@ -315,7 +315,11 @@ def numbers(path: Path, anew: bool = False) -> str:
     evaluation, files = evaluate_run(path / "run", Options(no_learned=True), listener)
     expected = json.loads((path / EXPECTED).read_text(encoding="utf-8"))
     found = {"numbers": comparable(evaluation), "per_frame.csv": files[1].read_text(encoding="utf-8", errors="replace")}
-    changed = [name for name, value in {**found, **found["numbers"]}.items() if {**expected, **expected["numbers"]}[name] != value]
+    changed = [
+        name
+        for name, value in {**found, **found["numbers"]}.items()
+        if {**expected, **expected["numbers"]}[name] != value
+    ]
     assert not changed or listener.warnings, f"other {', '.join(changed)}, and no word about it"
     return "; ".join(listener.warnings)
 
@@ -353,10 +357,12 @@ READERS: dict[str, Reader] = {
     "mask-network": Reader(mask_network),
     "split-file": Reader(split_file),
     "pictures": Reader(pictures),
-    "names": Reader(names, writes=True, forgets=("../tables",)),
+    "names": Reader(names, writes=True),
     "numbers": Reader(numbers, writes=True),
     "numbers-anew": Reader(numbers_anew, writes=True),
-    "eval": Reader(command("evaluate.cli.evaluate:main", "{}/run", "--no-learned", "-q"), writes=True, forgets=("run/eval",)),
+    "eval": Reader(
+        command("evaluate.cli.evaluate:main", "{}/run", "--no-learned", "-q"), writes=True, forgets=("run/eval",)
+    ),
     "eval-results": Reader(command("evaluate.cli.evaluate:main", "{}", "--no-learned", "-q"), writes=True),
     "resume": Reader(command(*_TRAIN, "--resume"), writes=True),
     "export-run": Reader(command("ggavatar.cli.export:main", "{}/run", "--overwrite"), writes=True),

@@ -4,22 +4,36 @@ from __future__ import annotations
 
 import functools
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.faults.bench import Bench
 from tests.faults.case import Case, Row
-from tests.faults.hostile.bases import make_tree
+from tests.faults.hostile.bases import make_trees
 from tests.faults.hostile.damage import flips, mutations
 from tests.faults.hostile.fixture import FAULT, Fixture
 from tests.faults.hostile.pool import Pool
 
 GENERATORS = (
-    *("pickles", "archives", "json_texts", "special_files", "pictures", "splats", "videos", "networks", "texts", "names"),
+    *(
+        "pickles",
+        "archives",
+        "json_texts",
+        "special_files",
+        "pictures",
+        "splats",
+        "videos",
+        "networks",
+        "texts",
+        "names",
+    ),
 )
 """Modules with a function `fixtures`, one for each kind of attack."""
+
+
+EXPECTATION = "no code runs; within 10 s and 1 GB it is read, or refused by a message that names the file"
 
 
 @dataclass(frozen=True)
@@ -37,20 +51,20 @@ def attacks() -> tuple[Fixture, ...]:
 
 
 def hostile_cases(count: int, seed: int) -> list[Case]:
-    """That many of the hostile fixtures, evenly spread and others with each seed; all with a count of 0."""
+    """That many of the hostile fixtures, evenly spread and others with each seed."""
     found = attacks()
-    step = max(len(found) // count, 1) if count else 1
+    step = max(-(-len(found) // max(count, 1)), 1)
     return [_case("hostile", fixture, seed) for fixture in found[seed % step :: step]]
 
 
 def mutated_cases(count: int, seed: int) -> list[Case]:
     """Mutations of every format and every file of a capture and a run."""
-    return [_case("mutations", fixture, fixture.seed) for fixture in mutations(_listing(), count, seed)]
+    return [_case("mutations", fixture, fixture.seed) for fixture in mutations(_trees(), count, seed)]
 
 
 def flipped_cases(count: int, seed: int) -> list[Case]:
     """Bit flips over all files of a capture and a run."""
-    return [_case("bit flips", fixture, fixture.seed) for fixture in flips(_listing(), count, seed)]
+    return [_case("bit flips", fixture, fixture.seed) for fixture in flips(_trees(), count, seed)]
 
 
 def _case(row: str, fixture: Fixture, seed: int) -> Case:
@@ -58,46 +72,39 @@ def _case(row: str, fixture: Fixture, seed: int) -> Case:
     return FixtureCase(row, fixture.reader, fixture.name, seed, expectation, fixture)
 
 
-EXPECTATION = "no code runs; within 10 s and 1 GB it is read, or refused by a message that names the file"
-
-
 @functools.cache
 def _home() -> TemporaryDirectory[str]:
     return TemporaryDirectory(prefix="hostile-originals-", ignore_cleanup_errors=True)
 
 
-def _listing() -> Callable[[str], Path]:
-    """Valid trees, made when first asked for: which files there are decides which cases there are."""
-    return lambda name: make_tree(name, Path(_home().name) / name)
+@functools.cache
+def _trees() -> Path:
+    """The valid trees, made when first asked for: their files decide which cases there are."""
+    return make_trees(Path(_home().name))
 
 
 def check(case: Case, bench: Bench) -> Sequence[str]:
     """Have a worker open a fixture, and say what was wrong."""
     assert isinstance(case, FixtureCase)
-    _tree(bench, case.fixture.base)
-    pool: Pool = bench.once("hostile pool", lambda folder: Pool(Path(_home().name), folder))
+    pool: Pool = bench.once("hostile pool", lambda folder: Pool(_trees(), folder))
     reading = pool.read(case.fixture)
     return (reading.detail,) if reading.verdict == FAULT else ()
-
-
-def _tree(bench: Bench, name: str) -> None:
-    bench.once(f"hostile tree {name}", lambda folder: _listing()(name))
 
 
 ROWS = (
     Row(
         "hostile",
-        "files made to run code, to exhaust time or memory, or to reach other files: pickles, archives, JSON, pictures, "
+        "files made to run code, exhaust time or memory, or reach other files: pickles, archives, JSON, pictures, "
         "Gaussians, videos, networks, weights, text, names, and devices in place of files",
         EXPECTATION,
-        count=0,
+        count=2000,
         sample=60,
         cases=hostile_cases,
         check=check,
     ),
     Row(
         "mutations",
-        "bytes changed, cut, repeated, inserted, zeroed and swapped in every format and every file of a capture and a run",
+        "bytes changed, cut, repeated, inserted, zeroed, swapped in every format and every file of a capture and a run",
         EXPECTATION,
         count=10_000,
         sample=200,

@@ -37,9 +37,13 @@ def _plys() -> dict[str, bytes]:
         "rows in Arabic digits": counted("٣".encode()),
         "two billion lists": _HEAD + b"element face 2000000000\nproperty list uint uint i\nend_header\n",
         "a list of 4 billion": _HEAD + b"element vertex 1\nproperty list uint double x\nend_header\n\xff\xff\xff\xff",
-        "10,000 properties": _HEAD + b"element vertex 1\n" + b"".join(b"property float p%d\n" % n for n in range(10_000)) + b"end_header\n",
+        "10,000 properties": _HEAD
+        + b"element vertex 1\n"
+        + b"".join(b"property float p%d\n" % n for n in range(10_000))
+        + b"end_header\n",
         "10,000 elements": _HEAD + b"".join(b"element e%d 0\n" % n for n in range(10_000)) + b"end_header\n",
-        "50 million rows of nothing": _HEAD + b"element empty 50000000\nelement vertex 1\nproperty float x\nend_header\n",
+        "50 million rows of nothing": _HEAD
+        + b"element empty 50000000\nelement vertex 1\nproperty float x\nend_header\n",
         "a header of 20 MB": b"ply\n" + b"comment x\n" * 2_000_000 + b"end_header\n",
         "a line of 20 MB": b"ply\ncomment " + b"x" * 20_000_000,
         "a row of 20 MB": ascii_ply[:rows] + b"1 " * 10_000_000,
@@ -52,7 +56,7 @@ def _plys() -> dict[str, bytes]:
         "doubles of NaN": valid[: end + 11] + b"\xff" * (len(valid) - end - 11),
         "no end of the header": valid[:end],
         "no Gaussians": _HEAD + b"element vertex 1\nproperty float x\nend_header\n\0\0\0\0",
-    }  # fmt: skip
+    }
 
 
 def _spzs() -> dict[str, bytes]:
@@ -61,7 +65,9 @@ def _spzs() -> dict[str, bytes]:
     packed = zstandard.ZstdCompressor(level=19).compress(bytes(300 << 20))
     table = struct.pack("<QQ", len(packed), 300 << 20)
     new = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 3, 0, 12, 0, 1, 32)
-    window = zstandard.ZstdCompressor(compression_params=zstandard.ZstdCompressionParameters(window_log=27)).compress(b"x" * 1000)
+    window = zstandard.ZstdCompressor(compression_params=zstandard.ZstdCompressionParameters(window_log=27)).compress(
+        b"x" * 1000
+    )
     return {
         "gzip of 1 GB": _deflated_zeros(head, 1 << 30),
         "4 billion Gaussians": gzip.compress(many + bytes(1000)),
@@ -78,7 +84,7 @@ def _spzs() -> dict[str, bytes]:
         "255 zstd blocks": struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 3, 0, 12, 0, 255, 32) + bytes(16 * 255),
         "blocks beyond the file": struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 3, 0, 12, 0, 1, 0xFFFFFFFF) + table,
         "extensions without end": struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 3, 0, 12, 2, 1, 40) + b"\xff" * 8 + table,
-    }  # fmt: skip
+    }
 
 
 def _deflated_zeros(head: bytes, size: int) -> bytes:

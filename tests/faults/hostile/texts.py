@@ -42,7 +42,7 @@ def _recordings() -> dict[str, bytes]:
         "commas": b"," * 5_000_000,
         "quotes": b'"' * 1_000_000,
         "nothing": b"",
-    }  # fmt: skip
+    }
 
 
 _NUMBERS = {

@@ -20,7 +20,13 @@ _LISTS = {
     "subtitles": b"1\n00:00:00,000 --> 00:00:01,000\n{}\n",
     "ASS": b"[Script Info]\nScriptType: v4.00+\n[Fonts]\nfontname: {}\n",
 }
-_TARGETS = (b"victim.txt", b"file:///etc/passwd", b"/dev/zero", b"http://127.0.0.1:9/x", b"subfile,,start,0,end,9,,:victim.txt")
+_TARGETS = (
+    b"victim.txt",
+    b"file:///etc/passwd",
+    b"/dev/zero",
+    b"http://127.0.0.1:9/x",
+    b"subfile,,start,0,end,9,,:victim.txt",
+)
 
 
 def _box(kind: bytes, content: bytes, size: int | None = None) -> bytes:
@@ -74,7 +80,9 @@ def _mp4s() -> dict[str, bytes]:
 
 def _nested(depth: int) -> bytes:
     total = 8 * depth
-    return b"".join(struct.pack(">I4s", total - 8 * level, b"moov" if level == 0 else b"trak") for level in range(depth))
+    return b"".join(
+        struct.pack(">I4s", total - 8 * level, b"moov" if level == 0 else b"trak") for level in range(depth)
+    )
 
 
 def _zeroed(data: bytes) -> bytes:
@@ -90,12 +98,18 @@ def _ebml() -> dict[str, bytes]:
     return {
         "elements of unknown size in each other": head + (b"\x18\x53\x80\x67" + unknown) * 5000,
         "an element of 2^56": head + b"\x18\x53\x80\x67\x01\xff\xff\xff\xff\xff\xff\xfe",
-        "a codec of 1 MB": head + b"\x18\x53\x80\x67" + unknown + b"\x16\x54\xae\x6b" + unknown + b"\x86\x10\x10\0\0" + bytes(1 << 20),
+        "a codec of 1 MB": head
+        + b"\x18\x53\x80\x67"
+        + unknown
+        + b"\x16\x54\xae\x6b"
+        + unknown
+        + b"\x86\x10\x10\0\0"
+        + bytes(1 << 20),
         "half of a WebM": valid[: len(valid) // 2],
         "a WebM of zeros behind its start": valid[:300] + bytes(100_000),
         "one cluster 10,000 times": valid + valid[-200:] * 10_000,
         "65,535 px of VP9": valid.replace(b"\xb0\x81\x40", b"\xb0\x82\xff\xff"),
-    }  # fmt: skip
+    }
 
 
 def _streams() -> dict[str, bytes]:
@@ -107,7 +121,9 @@ def _streams() -> dict[str, bytes]:
         "H.264 of start codes": b"\0\0\1" * 300_000,
         "an AVI of 4 GB": b"RIFF\xff\xff\xff\xffAVI LIST\xff\xff\xff\xffhdrlavih" + b"\xff" * 60,
         "an FLV of scripts": b"FLV\1\5\0\0\0\x09\0\0\0\0" + b"\x12\xff\xff\xff" + bytes(1000),
-        "a GIF of 65,535 px": b"GIF89a" + struct.pack("<HHBBB", 65535, 65535, 0, 0, 0) + b",\0\0\0\0\xff\xff\xff\xff\0\x08\x01\0\0;",
+        "a GIF of 65,535 px": b"GIF89a"
+        + struct.pack("<HHBBB", 65535, 65535, 0, 0, 0)
+        + b",\0\0\0\0\xff\xff\xff\xff\0\x08\x01\0\0;",
         "an Ogg of empty pages": (b"OggS\0\0" + bytes(20) + b"\0") * 20_000,
         "an MPEG-TS of one packet": (b"G" + bytes(187)) * 20_000,
         "text": b"hello\n" * 1000,
@@ -117,7 +133,7 @@ def _streams() -> dict[str, bytes]:
         "a shell script": b"#!/bin/sh\ntouch canary\n",
         "a Lua script": b"-- lua\nos.execute('touch canary')\n",
         "AviSynth": b'AVISource("victim.txt")\n',
-    }  # fmt: skip
+    }
 
 
 def fixtures() -> list[Hostile]:

@@ -8,7 +8,6 @@ import gc
 import io
 import os
 import resource
-import shutil
 import time
 import traceback
 import warnings
