@@ -1,4 +1,4 @@
-"""Pickles that take time, memory or stack out of all proportion to their size, and tensors that are not in their file."""
+"""Pickles that take time, memory or stack out of all proportion, and tensors that are not in their file."""
 
 from __future__ import annotations
 

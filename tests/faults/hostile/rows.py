@@ -17,18 +17,8 @@ from tests.faults.hostile.fixture import FAULT, Fixture
 from tests.faults.hostile.pool import Pool
 
 GENERATORS = (
-    *(
-        "pickles",
-        "archives",
-        "json_texts",
-        "special_files",
-        "pictures",
-        "splats",
-        "videos",
-        "networks",
-        "texts",
-        "names",
-    ),
+    *("pickles", "pickle_bombs", "archives", "json_texts", "special_files", "pictures", "splats", "videos", "networks"),
+    *("texts", "names"),
 )
 """Modules with a function `fixtures`, one for each kind of attack."""
 
