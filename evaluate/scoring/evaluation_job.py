@@ -138,8 +138,9 @@ def _stale(job: Job) -> str:
     stored, wanted = _read_tolerantly(path), job.task.described()
     if stored.get("key") == job.task.key():
         return ""
-    identity = stored.get("identity")
-    before = identity if isinstance(identity, dict) else {}
+    before = stored.get("identity")
+    if not isinstance(before, dict):
+        return f"its description ({SUMMARY})"
     changed = [name for name, value in wanted["identity"].items() if before.get(name) != value]
     changed += [name for name, value in wanted.items() if name != "identity" and stored.get(name) != value]
     words = {"capture_sha256": "the capture", "checkpoint_sha256": "the checkpoint", "size": "the image size"}
