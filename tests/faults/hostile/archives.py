@@ -16,6 +16,7 @@ from tests.faults.hostile.bases import FILES, RUN
 from tests.faults.hostile.fixture import Hostile
 from tests.faults.hostile.samples import ARRAYS, BUNDLE, npy, npz
 from tests.faults.hostile.samples import FILES as FILES_BY_NAME
+from tests.faults.hostile.zeros import shared_zip
 
 _READERS = {
     **{"plain.npz": "npz", "head.npz": "head", "flame.npz": "head", "take.npz": "recording"},
@@ -92,6 +93,9 @@ HEADERS: dict[str, bytes] = {
 """Arrays that are none, by what they hold."""
 
 
+_NUMBERED = [f"{number}.npy" for number in range(250)]
+
+
 def zipped(members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
     """A zip archive."""
     stream = io.BytesIO()
@@ -115,43 +119,18 @@ def _end_patched(data: bytes, field: int, value: bytes) -> bytes:
     return data[:place] + value + data[place + len(value) :]
 
 
-def _overlapping(copies: int = 250, size: int = 4 << 20) -> bytes:
-    """Entries that share one body, so that a small file holds gigabytes (Fifield 2019, without quoting)."""
-    body = zlib.compressobj(9, zlib.DEFLATED, -15)
-    array = header(described("'|u1'", f"({size},)"))
-    content = array + bytes(size)
-    packed = body.compress(content) + body.flush()
-    checksum = zlib.crc32(content)
-    name = b"a.npy"
-    local = b"PK\x03\x04" + struct.pack(
-        "<HHHHHIIIHH", 20, 0, 8, 0, 0, checksum, len(packed), len(content), len(name), 0
-    )
-    start = local + name + packed
-    directory = b""
-    for number in range(copies):
-        own = f"{number}.npy".encode()
-        directory += (
-            b"PK\x01\x02"
-            + struct.pack(
-                "<HHHHHHIIIHHHHHII", 20, 20, 0, 8, 0, 0, checksum, len(packed), len(content), len(own), 0, 0, 0, 0, 0, 0
-            )
-            + own
-        )
-    end = b"PK\x05\x06" + struct.pack("<HHHHIIH", 0, 0, copies, copies, len(directory), len(start), 0)
-    return start + directory + end
-
-
 @functools.cache
 def _archives() -> dict[str, bytes]:
     small = npz(ARRAYS)
-    zeros = header(described("'|u1'", f"({400 << 20},)"))
-    huge = {"a.npy": zeros + bytes(400 << 20)}
+    zeros, large = header(described("'|u1'", f"({400 << 20},)")), 400 << 20
+    packed = {"a.npy": zeros + bytes(20 << 20)}
     return {
-        "400 MB of zeros": zipped(huge, zipfile.ZIP_DEFLATED),
-        "40 MB of zeros as bzip2": zipped({"a.npy": zeros + bytes(40 << 20)}, zipfile.ZIP_BZIP2),
-        "40 MB of zeros as lzma": zipped({"a.npy": zeros + bytes(40 << 20)}, zipfile.ZIP_LZMA),
-        "400 MB that claim to be 1 kB": _patched(zipped(huge, zipfile.ZIP_DEFLATED), 24, struct.pack("<I", 1000)),
-        "arrays that overlap": _overlapping(),
+        "400 MB of zeros": shared_zip(zeros, large, ["a.npy"]),
+        "20 MB of zeros as bzip2": zipped(packed, zipfile.ZIP_BZIP2),
+        "20 MB of zeros as lzma": zipped(packed, zipfile.ZIP_LZMA),
+        "400 MB that claim to be 1 kB": shared_zip(zeros, large, ["a.npy"], claimed=1000),
+        "arrays that overlap": shared_zip(header(described("'|u1'", f"({16 << 20},)")), 16 << 20, _NUMBERED),
+        "600 MB of zeros": shared_zip(zeros, 600 << 20, ["a.npy"]),
         "5,000 entries": zipped({f"{number}.npy": b"" for number in range(5000)}),
         "70,000 entries": zipped({f"{number}.npy": b"" for number in range(70000)}),
         "names that lead out": zipped({"../../victim.txt": b"x", "../version.npy": npy(np.array("x")), "/etc/x": b""}),

@@ -12,6 +12,7 @@ import numpy as np
 from tests.faults.hostile.bases import FILES, FRAMES, PICTURES, RUN
 from tests.faults.hostile.fixture import Hostile
 from tests.faults.hostile.samples import image
+from tests.faults.hostile.zeros import zlibbed
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -34,7 +35,7 @@ def png(*chunks: bytes, size: tuple[int, int] = (8, 8), pixels: bytes | None = N
 
 
 def _pngs() -> dict[str, bytes]:
-    bomb = zlib.compress(bytes(50 << 20), 9)
+    bomb = zlibbed(b"", 48 << 20)
     text = chunk(b"zTXt", b"k\0\0" + bomb)
     deep = chunk(b"eXIf", b"MM\0*\0\0\0\x08" + b"\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\x08")
     return {
@@ -44,9 +45,7 @@ def _pngs() -> dict[str, bytes]:
         "no width": _SIGNATURE + ihdr(0, 8) + chunk(b"IDAT", b""),
         "34 megapixels from nothing": _SIGNATURE + ihdr(8000, 4200) + chunk(b"IDAT", zlib.compress(bytes(30_000))),
         "34 megapixels of zeros": png(size=(8000, 4200)),
-        "16 bits, 34 megapixels": _SIGNATURE
-        + ihdr(8000, 4200, 16, 6)
-        + chunk(b"IDAT", zlib.compress(bytes(300 << 20), 1)),
+        "16 bits, 34 megapixels": _SIGNATURE + ihdr(8000, 4200, 16, 6) + chunk(b"IDAT", zlibbed(b"", 288 << 20)),
         "7 bits": _SIGNATURE + ihdr(8, 8, 7) + chunk(b"IDAT", zlib.compress(bytes(200))),
         "255 bits": _SIGNATURE + ihdr(8, 8, 255) + chunk(b"IDAT", zlib.compress(bytes(200))),
         "an unknown color type": _SIGNATURE + ihdr(8, 8, 8, 5) + chunk(b"IDAT", zlib.compress(bytes(200))),
@@ -71,10 +70,7 @@ def _pngs() -> dict[str, bytes]:
         "no header": _SIGNATURE + chunk(b"IDAT", zlib.compress(bytes(200))) + chunk(b"IEND", b""),
         "no pixels": _SIGNATURE + ihdr(8, 8) + chunk(b"IEND", b""),
         "no end": png()[:-12],
-        "pixels of 2 GB": _SIGNATURE
-        + ihdr(8, 8)
-        + chunk(b"IDAT", zlib.compress(bytes(200 << 20), 9))
-        + chunk(b"IEND", b""),
+        "pixels of 2 GB": _SIGNATURE + ihdr(8, 8) + chunk(b"IDAT", zlibbed(b"", 2 << 30)) + chunk(b"IEND", b""),
         "a wrong filter": png(pixels=bytes([9]) * 200),
         "EXIF that points at itself": png(deep),
         "EXIF of 8 MB": png(chunk(b"eXIf", b"II*\0\x08\0\0\0" + b"\xff" * (8 << 20))),
