@@ -45,11 +45,11 @@ class Hostile(Fixture):
     """Files written by an attacker.
 
     Attributes:
-        files: Their content by path; None removes the file, a `Special` is no regular file.
+        files: Their content by path; None removes the file, a `Special` is no regular file, `Repeated` a large one.
         refused: No harmless content can be read out of it.
     """
 
-    files: Mapping[str, bytes | Special | None] = field(default_factory=dict)
+    files: Mapping[str, bytes | Repeated | Special | None] = field(default_factory=dict)
     refused: bool = False
 
     def plant(self, tree: Path) -> list[str]:
@@ -58,8 +58,8 @@ class Hostile(Fixture):
             path = tree / name
             remove(path)
             path.parent.mkdir(parents=True, exist_ok=True)
-            if isinstance(content, bytes):
-                path.write_bytes(content)
+            if isinstance(content, bytes | Repeated):
+                path.write_bytes(bytes(content))
             elif content is not None:
                 content.make(path)
         return list(self.files)
@@ -68,6 +68,26 @@ class Hostile(Fixture):
     def must_refuse(self) -> bool:
         """As said."""
         return self.refused
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """Many bytes, held as few.
+
+    Attributes:
+        head, unit, tail: The content is the head, the unit `count` times, and the tail.
+    """
+
+    head: bytes
+    unit: bytes
+    count: int
+    tail: bytes = b""
+
+    def __bytes__(self) -> bytes:
+        return self.head + self.unit * self.count + self.tail
+
+    def __len__(self) -> int:
+        return len(self.head) + len(self.unit) * self.count + len(self.tail)
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from tests.faults.hostile.bases import FILES, RUN
-from tests.faults.hostile.fixture import Hostile
+from tests.faults.hostile.fixture import Hostile, Repeated
 from tests.faults.hostile.samples import FILES as FILES_BY_NAME
 
-TEXTS: dict[str, bytes] = {
+TEXTS: dict[str, bytes | Repeated] = {
     "100,000 brackets": b"[" * 100_000,
     "100,000 closed brackets": b"[" * 100_000 + b"]" * 100_000,
     "100,000 objects in each other": b'{"a":' * 100_000 + b"1" + b"}" * 100_000,
@@ -44,13 +44,13 @@ TEXTS: dict[str, bytes] = {
     "a key of a megabyte": b'{"' + b"k" * 1_000_000 + b'": 1}',
     "a text without end": b'{"a": "' + b"x" * 1_000_000,
     "a million escapes": b'{"a": "' + b"\\n" * 1_000_000 + b'"}',
-    "20 million lists": b'{"frames": [' + b"[]," * 20_000_000 + b"[]]}",
-    "15 million objects": b'{"frames": [' + b"{}," * 15_000_000 + b"{}]}",
-    "12 million texts": b'{"frames": [' + b'"ab",' * 12_000_000 + b'"ab"]}',
-    "12 million fractions": b'{"frames": [' + b"1.5," * 15_000_000 + b"1.5]}",
-    "30 million numbers": b'{"frames": [' + b"1," * 30_000_000 + b"1]}",
-    "4 million keys": b'{"frames": {' + b",".join(b'"%x": 1' % n for n in range(4_000_000)) + b"}}",
-    "65 MB": b'{"a": "' + b"x" * (65 << 20) + b'"}',
+    "20 million lists": Repeated(b'{"frames": [', b"[],", 20_000_000, b"[]]}"),
+    "15 million objects": Repeated(b'{"frames": [', b"{},", 15_000_000, b"{}]}"),
+    "12 million texts": Repeated(b'{"frames": [', b'"ab",', 12_000_000, b'"ab"]}'),
+    "15 million fractions": Repeated(b'{"frames": [', b"1.5,", 15_000_000, b"1.5]}"),
+    "30 million numbers": Repeated(b'{"frames": [', b"1,", 30_000_000, b"1]}"),
+    "a million keys": b'{"frames": {' + b",".join(b'"%x": 1' % n for n in range(1_000_000)) + b"}}",
+    "65 MB": Repeated(b'{"a": "', b"x", 65 << 20, b'"}'),
 }
 """Documents, by what they are."""
 
@@ -82,7 +82,7 @@ def _documents() -> Iterator[Hostile]:
         yield Hostile(f"{title} as capture.json", RUN, "capture", "capture", {"capture/capture.json": text}, True)
         file = _RUN[number % len(_RUN)]
         yield Hostile(f"{title} as {file}", RUN, "run", "run", {f"run/{file}": text})
-        yield Hostile(f"{title} in a journal", RUN, "journal", _JOURNAL, {_JOURNAL: text + b"\n{}\n"})
+        yield Hostile(f"{title} in a journal", RUN, "journal", _JOURNAL, {_JOURNAL: bytes(text) + b"\n{}\n"})
 
 
 _JOURNAL = "run/metrics/train.jsonl"

@@ -30,13 +30,15 @@ class Reader:
         open: Reads it; raises an `InputError` (or `CommandFailed`) for anything that cannot be used.
         writes: It writes into the tree, as commands do.
         longest: Most characters of a message.
-        forgets: Files and folders of its own making that it would read instead of making them again.
+        forgets: Files and folders of its own making that it would read instead of making them again; removed before it
+            opens the unchanged tree, and, if it works `anew`, each time.
     """
 
     open: Callable[[Path], Any]
     writes: bool = False
     longest: int = 2000
     forgets: tuple[str, ...] = ()
+    anew: bool = False
 
 
 def pickle(path: Path) -> None:
@@ -302,15 +304,11 @@ def comparable(evaluation: Any) -> dict[str, Any]:
     return {"efficiency": costs, **{name: found[name] for name in parts}}
 
 
-def numbers(path: Path, anew: bool = False) -> str:
-    """Evaluate a run, with what an earlier evaluation left or anew; other numbers than before must be warned of."""
-    import shutil
-
+def numbers(path: Path) -> str:
+    """Evaluate a run; other numbers than before must be warned of."""
     from evaluate.options import Options
     from evaluate.scoring.run import evaluate_run
 
-    if anew:
-        shutil.rmtree(path / "run" / "eval", ignore_errors=True)
     listener = _Listener()
     evaluation, files = evaluate_run(path / "run", Options(no_learned=True), listener)
     expected = json.loads((path / EXPECTED).read_text(encoding="utf-8"))
@@ -322,11 +320,6 @@ def numbers(path: Path, anew: bool = False) -> str:
     ]
     assert not changed or listener.warnings, f"other {', '.join(changed)}, and no word about it"
     return "; ".join(listener.warnings)
-
-
-def numbers_anew(path: Path) -> str:
-    """The same without what an earlier evaluation left."""
-    return numbers(path, anew=True)
 
 
 EXPECTED = "expected.json"
@@ -359,7 +352,7 @@ READERS: dict[str, Reader] = {
     "pictures": Reader(pictures),
     "names": Reader(names, writes=True),
     "numbers": Reader(numbers, writes=True, forgets=("run/eval",)),
-    "numbers-anew": Reader(numbers_anew, writes=True),
+    "numbers-anew": Reader(numbers, writes=True, forgets=("run/eval",), anew=True),
     "eval": Reader(
         command("evaluate.cli.evaluate:main", "{}/run", "--no-learned", "-q"), writes=True, forgets=("run/eval",)
     ),

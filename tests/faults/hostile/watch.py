@@ -6,6 +6,7 @@ one that is read must stay what they were.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import sysconfig
@@ -69,7 +70,7 @@ class Watch:
             if writes and not isinstance(name, int):
                 self._check_write(event, name, found)
         elif event in _CHANGING:
-            self._check_write(event, arguments[0], found)
+            self._check_write(event, _full(*arguments), found)
 
     def _check_write(self, event: str, name: object, found: list[str]) -> None:
         if isinstance(name, int):
@@ -77,6 +78,15 @@ class Watch:
         path = os.path.abspath(os.fsdecode(name)) if isinstance(name, str | bytes | os.PathLike) else str(name)
         if not (path + "/").startswith(self._writable):
             found.append(f"{event} {path}")
+
+
+def _full(name: object, *others: object) -> object:
+    """A name that is relative to an opened folder, the last argument of such events, as a path."""
+    folder = others[-1] if others else -1
+    if isinstance(folder, int) and folder >= 0 and isinstance(name, str) and not os.path.isabs(name):
+        with contextlib.suppress(OSError):
+            return os.path.join(os.readlink(f"/proc/self/fd/{folder}"), name)
+    return name
 
 
 def state_of(folder: Path) -> dict[str, tuple[int, int, int]]:
