@@ -197,8 +197,8 @@ def _from_dict(content: Mapping[str, Any]) -> Evaluation:
     for found in texts.values():
         _all(str, list(found.values()))
     return Evaluation(
-        subject=str(content["subject"]),
-        method=str(content["method"]),
+        subject=_all(str, [content["subject"]])[0],
+        method=_all(str, [content["method"]])[0],
         protocol=protocol_from_dict(_mapping(content, "protocol")),
         frames=frames,
         values=values,

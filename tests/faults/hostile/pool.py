@@ -84,7 +84,7 @@ class _Worker:
                 raise RuntimeError(f"{fixture.reader} cannot read the unchanged tree {fixture.base}: {failure}")
             if self._connection.poll(HUNG):
                 return self._connection.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):
             self._process.join(5)
             self.is_alive = False
             return Reading(FAULT, f"the process died with exit code {self._process.exitcode}")
