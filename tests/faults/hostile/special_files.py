@@ -17,7 +17,7 @@ KINDS = {
     "/proc/self/mem": Special("link", "/proc/self/mem"),
     "a link to itself": Special("link", "victim-loop"),
     "a link to nothing": Special("link", "no-such-file"),
-    "nothing": None,
+    "no file": None,
 }
 """What is there instead of a file."""
 
