@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import re
 import os
 import shutil
 from pathlib import Path
@@ -164,12 +165,18 @@ def test_damaged_results_are_made_again(run: Run) -> None:
 
 @pytest.mark.parametrize("name", ["metrics.json", "per_frame.csv", "predict.json"])
 def test_a_changed_number_is_noticed_and_made_again(run: Run, name: str) -> None:
-    """The last digit of the file that is part of a value that we measured."""
+    """A digit of something that was measured."""
     first, files = evaluate_run(run.folder, OPTIONS, silent)
     path = files[0].parent / name
     before = path.read_text()
-    mark = {"metrics.json": '"mse": [0.', "per_frame.csv": ",0.", "predict.json": '"model_megabytes": 0.'}[name]
-    place = before.index(mark) + len(mark) + 2
+    digit = {
+        "metrics.json": r'"mse": \[0\.\d\d(\d)',
+        "per_frame.csv": r",0\.\d\d(\d)",
+        "predict.json": r'"median": (\d)',
+    }
+    found = re.search(digit[name], before)
+    assert found is not None
+    place = found.start(1)
     path.write_text(f"{before[:place]}{(int(before[place]) + 1) % 10}{before[place + 1 :]}")
     listener = SilentReporter()
     again, _ = evaluate_run(run.folder, OPTIONS, listener)

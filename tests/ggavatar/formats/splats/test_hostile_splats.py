@@ -22,7 +22,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_files import read_gaussians
 from ggavatar.formats.splats.file_kinds import file_kind
 from tests.support.damaged_files import COUNT, MAX_SECONDS, ODD_VALUES, check_value_mutations, mutate
-from tests.support.splat_files import sog, sog_1, sog_2
+from tests.support.splat_files import sog, sog_1, sog_2, zipped
 from tests.support.splat_samples import SPLATS, plain_ply
 
 
