@@ -138,7 +138,7 @@ def digest_of(values: Mapping[str, Any]) -> str:
     """SHA-256 over all values of a JSON object, whatever their order and spacing in the file.
 
     Raises:
-        ValueError: NaN or infinity.
+        ValueError: NaN, infinity, or a number that `read_json` would refuse.
     """
-    plain = json.loads(json.dumps(values, allow_nan=False))
+    plain = _DECODER.decode(json.dumps(values, allow_nan=False))
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()

@@ -79,10 +79,8 @@ def check_junit(text: str) -> list[str]:
 def check_terminal(text: str) -> list[str]:
     """Whether a terminal or a CI runner would take something for a command."""
     wrong = [f"control character {found!r}" for found in _CONTROL.findall(text)[:3]]
-    commands = [
-        line for line in text.splitlines() if line.startswith(("::set-output", "##[")) or "::owned" in line[:60]
-    ]
-    return wrong + [f"workflow command {line!r:.60}" for line in commands if not line.startswith("::error title=")]
+    commands = [line for line in text.splitlines() if line.lstrip().startswith(("::", "##["))]
+    return wrong + [f"workflow command {line!r:.60}" for line in commands]
 
 
 _CHECKS = {
