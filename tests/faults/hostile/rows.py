@@ -54,11 +54,11 @@ def mutated_cases(count: int, seed: int) -> list[Case]:
 
 def flipped_cases(count: int, seed: int) -> list[Case]:
     """Bit flips over all files of a capture and a run."""
-    return [_case("bit flips", fixture, fixture.seed) for fixture in flips(_trees(), count, seed)]
+    return [_case("bit-flips", fixture, fixture.seed) for fixture in flips(_trees(), count, seed)]
 
 
 def _case(row: str, fixture: Fixture, seed: int) -> Case:
-    expectation = "noticed, or without effect on any number" if row == "bit flips" else EXPECTATION
+    expectation = "noticed, or without effect on any number" if row == "bit-flips" else EXPECTATION
     return FixtureCase(row, fixture.reader, fixture.name, seed, expectation, fixture)
 
 
@@ -102,7 +102,7 @@ ROWS = (
         check=check,
     ),
     Row(
-        "bit flips",
+        "bit-flips",
         "one bit of a file of a capture, a run or its evaluation",
         "evaluation says so, or every number that it writes stays what it was",
         count=1000,
