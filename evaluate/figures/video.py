@@ -24,6 +24,9 @@ from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import read_rgb
 
 CRF = 18
+ENCODER = {"preset": "veryfast", "x264-params": "mbtree=0"}
+"""Options of x264. Its macroblock tree reads memory that it has not written, with sizes such as 192×108 and 96×96: two
+calls of a command would then write different videos of the same images."""
 
 
 @contextlib.contextmanager
@@ -43,7 +46,7 @@ def video_writer(path: Path, fps: float, crf: int = CRF) -> Iterator[Callable[[n
     try:
         with av.open(str(partial), "w", format="mp4", options={"movflags": "faststart"}) as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-            stream.options = {"crf": str(crf), "preset": "veryfast"}
+            stream.options = {**ENCODER, "crf": str(crf)}
             stream.pix_fmt = "yuv420p"
             count = 0
 

@@ -20,7 +20,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import write_png
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.io.regular_files import read_file
 
 FOLDERS = ("predictions", "ground_truth", "masks")
@@ -182,7 +182,7 @@ def _claim_folder(folder: Path, task: PredictionTask) -> dict[str, Any]:
         **task.described(),
         "complete": False,
     }
-    write_json(path, summary)
+    write_sealed_json(path, summary)
     return summary
 
 

@@ -28,7 +28,7 @@ from ggavatar.io.atomic import write_atomically
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import image_header
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import write_sealed_json
 from ggavatar.io.picture_bytes import MAX_IMAGE_BYTES
 from ggavatar.io.regular_files import read_file
 from ggavatar.text.names import clean_name
@@ -234,5 +234,5 @@ def _copy_pictures(
 
     filled = fill_frames(home, task, capture, copy, digests, progress)
     if not filled.summary["complete"]:
-        write_json(home / SUMMARY, {**filled.summary, "complete": True})
+        write_sealed_json(home / SUMMARY, {**filled.summary, "complete": True})
     return filled

@@ -7,9 +7,11 @@ and files that unpack to more memory than `MAX_VALUE_BYTES`.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,9 @@ MAX_JSON_BYTES = 1 << 26
 MAX_VALUE_BYTES = 1 << 29
 """Most memory that the values of a file may take (512 MiB); `{}` takes 64 bytes for two."""
 
+SEAL = "content_sha256"
+"""Entry of a sealed file: SHA-256 of all other entries."""
+
 _COSTS = {b",": 64, b"[": 96, b"{": 240, b":": 160, b'"': 16}
 """About what CPython needs for the value, list, object, name or text of one such character, bytes."""
 
@@ -32,10 +37,20 @@ _LARGEST = 1 << 64
 def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> dict[str, Any]:
     """Read a JSON object from a file of at most `limit` bytes.
 
+    A file of `write_sealed_json` is returned without its seal, after that was checked.
+
     Raises:
-        InputError: No such file, larger than `limit`, not strictly JSON, or not an object.
+        InputError: No such file, larger than `limit`, not strictly JSON, not an object, or changed since it was sealed.
     """
-    return parse_json(path, read_file(path, limit, "a JSON file"))
+    values = parse_json(path, read_file(path, limit, "a JSON file"))
+    if SEAL in values:
+        seal = values.pop(SEAL)
+        if seal != digest_of(values):
+            raise InputError(
+                f"{path}: changed since it was written (its {SEAL} no longer fits); restore it or, if you changed it "
+                f"on purpose, remove its entry {SEAL!r}"
+            )
+    return values
 
 
 def parse_json(path: Path, text: bytes) -> dict[str, Any]:
@@ -110,3 +125,23 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse, parse_int=_whole, parse_floa
 def write_json(path: Path, values: dict[str, Any]) -> None:
     """Write a JSON object atomically; NaN and infinity raise `ValueError`."""
     write_text(path, json.dumps(values, indent=1, allow_nan=False) + "\n")
+
+
+def write_sealed_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write a JSON object with a digest of itself, so that `read_json` notices every later change; atomically."""
+    write_json(path, sealed(values))
+
+
+def sealed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values with their digest as last entry."""
+    return {**values, SEAL: digest_of(values)}
+
+
+def digest_of(values: Mapping[str, Any]) -> str:
+    """SHA-256 over all values of a JSON object, whatever their order and spacing in the file.
+
+    Raises:
+        ValueError: NaN, infinity, or a number that `read_json` would refuse.
+    """
+    plain = _DECODER.decode(json.dumps(values, allow_nan=False))
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()

@@ -8,10 +8,12 @@ asked before it is opened, since opening a pipe already waits, and again of the 
 from __future__ import annotations
 
 import errno
+import io
 import os
 import stat
-from io import BufferedReader
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from ggavatar.errors import InputError
 
@@ -19,7 +21,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)
 _NO_FILE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
-def open_regular(path: Path, expected: str = "a file") -> BufferedReader:
+def open_regular(path: Path, expected: str = "a file") -> io.BufferedReader:
     """Open a regular file for reading, in binary.
 
     Args:
@@ -27,8 +29,8 @@ def open_regular(path: Path, expected: str = "a file") -> BufferedReader:
         expected: What it should be, for the message.
 
     Raises:
-        InputError: No such file, or a folder, pipe, socket or device.
-        OSError: It may not be read, or the disk fails.
+        InputError: No such file, or a folder, pipe, socket or device; also from the stream, where the disk fails.
+        OSError: It may not be read.
     """
     try:
         _require_regular(path, expected, os.stat(path))
@@ -39,10 +41,36 @@ def open_regular(path: Path, expected: str = "a file") -> BufferedReader:
         raise InputError(f"{path}: no such file") from error  # a ValueError is a name with a zero byte
     try:
         _require_regular(path, expected, os.fstat(handle))
-        return os.fdopen(handle, "rb")
+        return io.BufferedReader(_Content(handle, path), 1 << 16)
     except BaseException:
         os.close(handle)
         raise
+
+
+class _Content(io.FileIO):
+    """The bytes of an opened file; what cannot be read is an `InputError` that names it.
+
+    Disks fail, and the files of /proc are regular by name, but have no end or block.
+    """
+
+    def __init__(self, handle: int, path: Path) -> None:
+        super().__init__(handle, "rb")
+        self._path = path
+
+    def readinto(self, buffer: Any) -> int:
+        return self._read(lambda: super(_Content, self).readinto(buffer))
+
+    def readall(self) -> bytes:
+        return self._read(super().readall)
+
+    def _read(self, read: Callable[[], Any]) -> Any:
+        try:
+            found = read()
+        except OSError as error:
+            raise InputError(f"{self._path}: cannot be read ({error.strerror}); copy it again") from error
+        if found is None:
+            raise InputError(f"{self._path}: expected a file with an end, found one that waits for more; give a copy")
+        return found
 
 
 def read_file(path: Path, limit: int, expected: str = "a file") -> bytes:

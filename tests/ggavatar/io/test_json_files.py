@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.io.json_files import parse_value, read_json, readable_json, write_json
+from ggavatar.io.json_files import parse_value, read_json, readable_json, sealed, write_json, write_sealed_json
 from tests.support.measured import costs
 
 
@@ -16,6 +16,36 @@ def test_round_trip(tmp_path: Path) -> None:
     values = {"name": "Zoë", "numbers": [1, 2.5, None], "nested": {"empty": {}}}
     write_json(tmp_path / "a.json", values)
     assert read_json(tmp_path / "a.json") == values
+
+
+def test_every_changed_byte_of_a_sealed_file_is_noticed_or_changes_nothing(tmp_path: Path) -> None:
+    """Every bit of the file; reference: the values that were written. A changed name of the seal is a further entry."""
+    path, values = tmp_path / "a.json", {"numbers": [1, 2.5, -0.0], "name": "x", "nested": {"empty": {}, "none": None}}
+    write_sealed_json(path, values)
+    assert read_json(path) == values
+    original = path.read_bytes()
+    for place in range(8 * len(original)):
+        changed = bytearray(original)
+        changed[place // 8] ^= 1 << place % 8
+        path.write_bytes(changed)
+        try:
+            found = read_json(path)
+        except InputError as error:
+            assert "a.json" in str(error)
+            continue
+        assert {name: found.get(name) for name in values} == values
+
+
+def test_a_seal_does_not_depend_on_order_and_spacing_and_none_is_needed(tmp_path: Path) -> None:
+    """Keys that are numbers, and tuples, are what JSON makes of them."""
+    path, values = tmp_path / "a.json", {"b": (1, 2), "a": {1: "x"}}
+    path.write_text(json.dumps(dict(reversed(sealed(values).items()))))
+    assert read_json(path) == {"a": {"1": "x"}, "b": [1, 2]}
+    path.write_text('{"a": 1}')
+    assert read_json(path) == {"a": 1}
+    path.write_text('{"a": 1, "content_sha256": "00"}')
+    with pytest.raises(InputError, match=r"a\.json: changed since it was written"):
+        read_json(path)
 
 
 @pytest.mark.parametrize(

@@ -155,3 +155,13 @@ def test_gaussian_files(tmp_path: Path) -> None:
         os.mkfifo(tmp_path / f"x.{suffix}")
         raised = _within(20, lambda suffix=suffix: read_gaussians(tmp_path / f"x.{suffix}"))
         assert isinstance(raised, InputError)
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/mem"), reason="needs a file that is regular by name only")
+@pytest.mark.parametrize("read", [read_json, read_rgb, read_gaussians, read_pickle, lambda path: read_file(path, 9)])
+def test_a_file_that_cannot_be_read_is_named(read: Callable[[Path], Any], tmp_path: Path) -> None:
+    """The memory of a process fails at address 0 as a bad disk does."""
+    path = tmp_path / "broken.ply"
+    path.symlink_to("/proc/self/mem")
+    with pytest.raises(InputError, match=r"broken\.ply: cannot be read \(Input/output error\)"):
+        read(path)
