@@ -17,9 +17,9 @@ from safetensors import safe_open
 
 MEASURED = frozenset(
     {"started", "argv", "seconds", "training_seconds", "peak_memory_mib", "peak_gpu_memory_mib"}
-    | {"peak_memory_megabytes", "efficiency", "timing", "record_sha256"}
+    | {"peak_memory_megabytes", "efficiency", "timing", "record_sha256", "content_sha256"}
 )
-"""Keys of JSON files whose values are times, memory, the command line, and a digest over them."""
+"""Keys of JSON files whose values are times, memory, the command line, and digests over them."""
 COSTS = "efficiency"
 """Name of the table of times and memory."""
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")

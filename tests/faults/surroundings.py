@@ -35,15 +35,15 @@ TASKS = (
     tasks.EVAL,
     tasks.RENDER,
     tasks.EXPORTS[0],
-    tasks.SWEEP,
+    tasks.ONE_CELL,
     tasks.MODELS,
 )
 SUCCESS, FAILED, BAD_INPUT = 0, 1, 2
 INTERRUPTED, TERMINATED = {130, -signal.SIGINT}, {143, -signal.SIGTERM}
 """What a shell shows for a command that a signal has ended is 128 and the number of the signal."""
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
-LINES_OF_SWEEP = 4
-"""Messages of a sweep: one for each of its two trainings, their own and its evaluation's."""
+LINES_OF_SWEEP = 2
+"""Messages of a sweep: its own, and that of its training."""
 
 
 @dataclass(frozen=True)
