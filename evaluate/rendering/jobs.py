@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,6 +51,7 @@ from ggavatar.io.held_folders import hold_folder
 from ggavatar.io.images import read_rgb, write_png
 from ggavatar.render.backends import resolve_device
 from ggavatar.training.run_folder import Run, open_run
+from ggavatar.training.same_capture import change_since_training
 
 if TYPE_CHECKING:
     from evaluate.rendering.options import Options
@@ -114,7 +116,10 @@ def _open(options: Options, device: str) -> Run | StandaloneGaussians:
         return open_gaussian_file(options.run, source, GIVEN, device, options.backend)
     refuse_file_flags(options.run, source)
     moved = [] if source.capture is None else [source.capture]
-    return open_run(options.run, device, options.step, options.backend, *moved)
+    run = open_run(options.run, device, options.step, options.backend, *moved)
+    if change := change_since_training(run):
+        sys.stderr.write(f"warning: {change}\n")
+    return run
 
 
 def _plan(options: Options, run: Run, background: Color) -> RenderPlan:

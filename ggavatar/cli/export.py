@@ -202,6 +202,7 @@ def _export_run(arguments: Arguments) -> list[str]:
     from ggavatar.head.files import load_head
     from ggavatar.render.backends import resolve_device
     from ggavatar.training.run_folder import open_run
+    from ggavatar.training.same_capture import change_since_training
 
     device = resolve_device(arguments.device)
     run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
@@ -219,7 +220,8 @@ def _export_run(arguments: Arguments) -> list[str]:
     else:
         result = export_splats(run, drives, arguments.kind, path, arguments.overwrite)
         following = _next_step_for_splats(path, arguments.kind, len(drives))
-    notes = [f"note: {note}" for note in (*result.notes, *_renderer_notes(run.method))]
+    changed = [change] if (change := change_since_training(run)) else []
+    notes = [f"note: {note}" for note in (*changed, *result.notes, *_renderer_notes(run.method))]
     return [f"wrote {result.path} ({_size_text(len(drives), result.gaussians)})", *notes, f"next: {following}"]
 
 

@@ -117,7 +117,7 @@ def _swallowing(stream: io.TextIOWrapper) -> io.TextIOWrapper:
     raw = _SwallowingFile(stream.fileno(), "w", closefd=False)
     is_buffered = _raw(stream) is not stream.buffer
     return io.TextIOWrapper(
-        io.BufferedWriter(raw) if is_buffered else raw,  # type: ignore[arg-type]  # as Python does
+        io.BufferedWriter(raw) if is_buffered else raw,
         encoding=stream.encoding,
         errors=stream.errors,
         line_buffering=stream.line_buffering,

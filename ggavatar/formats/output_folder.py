@@ -48,8 +48,7 @@ def atomic_folder(folder: Path, overwrite: bool) -> Iterator[Path]:
     with lock_output(folder):
         home = folder.with_name(f".{folder.name}.partial")
         new, old = home / "new", home / "old"
-        _put_back(old, folder)
-        shutil.rmtree(home, ignore_errors=True)
+        _clear_leftovers(home, folder)
         _check_output_folder(folder, overwrite)
         home.mkdir()
         try:
@@ -62,6 +61,18 @@ def atomic_folder(folder: Path, overwrite: bool) -> Iterator[Path]:
         finally:
             _put_back(old, folder)
             shutil.rmtree(home, ignore_errors=True)
+
+
+def _clear_leftovers(home: Path, folder: Path) -> None:
+    """Put right what a killed process has left in its temporary folder, and remove that."""
+    others = {path.name for path in home.iterdir()} - {"new", "old"} if home.is_dir() else set()
+    if others:
+        raise InputError(
+            f"{home}: expected nothing, or what an interrupted export has left, found other files ({min(others)}); "
+            "move them away"
+        )
+    _put_back(home / "old", folder)
+    shutil.rmtree(home, ignore_errors=True)
 
 
 def _put_back(old: Path, folder: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import read_json
-from ggavatar.training.run_folder import RunConfig, capture_places
+from ggavatar.training.run_folder import Run, RunConfig, capture_places
 
 
 def require_same_capture(run: Path, config: RunConfig, capture: Capture, digest: str) -> None:
@@ -38,6 +38,14 @@ def require_same_capture(run: Path, config: RunConfig, capture: Capture, digest:
     raise InputError(
         f"{run}: was trained on {config.capture}, not on {capture.folder}{other}; choose another folder with -o"
     )
+
+
+def change_since_training(run: Run) -> str | None:
+    """One line if the capture of an opened run is no longer the one that it was trained on; reads all images."""
+    recorded = run.provenance.get("capture_sha256")
+    if recorded is None or recorded == run.capture.digest():
+        return None
+    return f"{run.capture.folder} has changed since {run.folder} was trained on it; the avatar may not fit it any more"
 
 
 def recorded_digest(run: Path) -> str | None:

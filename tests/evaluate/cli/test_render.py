@@ -159,6 +159,16 @@ def test_resuming_notices_what_has_changed(
     assert "changed since" in capsys.readouterr().err
 
 
+def test_a_capture_that_changed_since_the_training_is_said(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for digest, said in ((run.capture.digest(), False), ("00", True)):
+        trained = dataclasses.replace(run, provenance={"capture_sha256": digest})
+        monkeypatch.setattr(jobs, "open_run", lambda *_, trained=trained: trained)
+        assert render(monkeypatch, run, "--no-video", "--overwrite") == 0
+        assert ("has changed since" in capsys.readouterr().err) == said
+
+
 def test_a_folder_that_is_removed_meanwhile_does_not_come_back(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -281,6 +281,11 @@ def test_a_killed_export_of_a_folder_is_put_right_by_the_next(tmp_path: Path, mo
     with atomic_folder(folder, overwrite=True) as temporary:
         (temporary / "a").write_text("new")
     assert (folder / "a").read_text() == "new" and list(tmp_path.iterdir()) == [folder]
+    home.mkdir()
+    (home / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"mine\.txt"), atomic_folder(folder, overwrite=True):
+        pass
+    assert (home / "mine.txt").read_text() == "mine"
 
 
 def test_a_run_that_is_removed_meanwhile_does_not_come_back(
@@ -315,12 +320,16 @@ def test_a_capture_that_was_moved_away_from_its_run_is_named(
     run_folder: Path, toy_capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The message says --capture, and that works."""
-    run, moved = tmp_path / "run", tmp_path / "moved"
+    run, moved = tmp_path / "a" / "b" / "c" / "run", tmp_path / "moved"
     shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
     shutil.copytree(toy_capture.folder, moved)
     config = (run / "config.json").read_text().replace(str(toy_capture.folder), str(tmp_path / "gone"))
     (run / "config.json").write_text(config)
     assert export(run) == 2 and "name its new location with --capture" in capsys.readouterr().err
-    assert export(run, "--capture", moved) == 0
+    capsys.readouterr()
+    assert export(run, "--capture", moved) == 0 and "has changed since" not in capsys.readouterr().out
+    images = sorted((moved / "images").iterdir())
+    images[0].write_bytes(images[1].read_bytes())
+    assert export(run, "--capture", moved, "--overwrite") == 0 and "has changed since" in capsys.readouterr().out
     assert export(run / "exports" / "neutral.ply", "--capture", moved, "-o", tmp_path / "a.spz") == 2
     assert "belongs to a run" in capsys.readouterr().err

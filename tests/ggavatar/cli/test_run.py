@@ -88,7 +88,8 @@ def test_child_processes_have_the_streams_too(tmp_path: Path) -> None:
 )
 def test_a_signal_ends_in_order(tmp_path: Path, number: int, code: int, word: str) -> None:
     """What is released on the way out, such as locks, is released."""
-    body = f"""import time
+    body = f"""import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs of a shell ignore it
 from ggavatar.io.folder_lock import lock_folder
 (place / "folder").mkdir()
 with lock_folder(place / "folder"):

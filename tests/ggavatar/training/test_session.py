@@ -1,4 +1,7 @@
-"""Sessions lose and mix nothing: two writers, stops before the first step, removed folders, changed captures, typos."""
+"""Sessions lose and mix nothing: two writers, stops before the first step, removed folders, changed captures, typos.
+
+Also covers `ggavatar/training/same_capture.py`.
+"""
 
 from __future__ import annotations
 
