@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from evaluate.metrics.catalogue import metric_of
@@ -18,7 +19,8 @@ from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.protocols.statistics import Summary, summarize
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, sealed
+from ggavatar.io.regular_files import read_file
 
 SCHEMA, VERSION = "ggavatar-evaluation", 1
 METRICS_FILE, FRAMES_FILE = "metrics.json", "per_frame.csv"
@@ -119,9 +121,21 @@ def _finite(value: Value) -> Value:
 def write_results(evaluation: Evaluation, folder: Path) -> list[Path]:
     """Write `metrics.json` and `per_frame.csv`, unrounded and atomically, and return their paths."""
     paths = [folder / METRICS_FILE, folder / FRAMES_FILE]
-    for path, text in zip(paths, (to_json(evaluation.as_dict()), _to_csv(evaluation)), strict=True):
+    for path, text in zip(paths, (to_json(sealed(evaluation.as_dict())), _to_csv(evaluation)), strict=True):
         write_text(path, text)
     return paths
+
+
+def restore_frames(evaluation: Evaluation, folder: Path) -> bool:
+    """Write `per_frame.csv` again where it does not hold the values of the evaluation; whether that was so."""
+    path, text = folder / FRAMES_FILE, _to_csv(evaluation)
+    try:
+        if read_file(path, MAX_BYTES, "a table of values") == text.encode():
+            return False
+    except InputError:
+        pass
+    write_text(path, text)
+    return True
 
 
 def to_json(content: Mapping[str, Any]) -> str:
@@ -161,36 +175,57 @@ def read_results(path: Path) -> Evaluation:
     except InputError as error:
         raise InputError(f"{error}; score the images with ggavatar-eval first") from error
     if content.get("schema") != SCHEMA or content.get("version") != VERSION:
-        found = f"{content.get('schema')!r} version {content.get('version')!r}"
+        found = f"{content.get('schema')!r:.60} version {content.get('version')!r:.60}"
         raise InputError(f"{file}: expected {SCHEMA!r} version {VERSION}, found {found}; score the images again")
     try:
         return _from_dict(content)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
-            f"{file}: a field is missing or has the wrong type ({error!r}); score the images again"
+            f"{file}: a field is missing or has the wrong type ({error!r:.200}); score the images again"
         ) from error
 
 
 def _from_dict(content: Mapping[str, Any]) -> Evaluation:
-    frames = tuple(int(n) for n in content["frames"])
-    identical = {name: set(numbers) for name, numbers in content["identical"].items()}
+    frames = tuple(_all(int, content["frames"]))
+    identical = {name: set(_all(int, numbers)) for name, numbers in _mapping(content, "identical").items()}
     values: dict[str, tuple[Value, ...]] = {}
-    for name, column in content["per_frame"].items():
-        infinite = identical.get(name, set())
+    for name, column in _mapping(content, "per_frame").items():
+        infinite, column = identical.get(name, set()), _all((int, float, NoneType), column)
         values[name] = tuple(math.inf if n in infinite else v for n, v in zip(frames, column, strict=True))
-    summary = content["summary"]
+    summary = _mapping(content, "summary")
+    texts = {name: _mapping(content, name) for name in ("hashes", "weights")}
+    for found in texts.values():
+        _all(str, list(found.values()))
     return Evaluation(
-        subject=str(content["subject"]),
-        method=str(content["method"]),
-        protocol=protocol_from_dict(content["protocol"]),
+        subject=_all(str, [content["subject"]])[0],
+        method=_all(str, [content["method"]])[0],
+        protocol=protocol_from_dict(_mapping(content, "protocol")),
         frames=frames,
         values=values,
-        seed=content["seed"],
-        missing={name: entry["missing"] for name, entry in summary.items() if "missing" in entry},
-        hashes=content["hashes"],
-        weights=content["weights"],
-        efficiency=content["efficiency"],
-        provenance=content["provenance"],
-        notes=tuple(content["notes"]),
-        setup=setup_from_dict(content.get("setup", {})),
+        seed=_all((int, NoneType), [content["seed"]])[0],
+        missing={name: str(entry["missing"]) for name, entry in summary.items() if "missing" in entry},
+        hashes=texts["hashes"],
+        weights=texts["weights"],
+        efficiency=_mapping(content, "efficiency"),
+        provenance=_mapping(content, "provenance"),
+        notes=tuple(_all(str, content["notes"])),
+        setup=setup_from_dict(_mapping({"setup": {}, **content}, "setup")),
     )
+
+
+def _mapping(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """An entry that is an object; `TypeError` if it is none."""
+    value = content[name]
+    if not isinstance(value, dict):
+        raise TypeError(f"{name}: expected an object, found {type(value).__name__}")
+    return value
+
+
+def _all(kind: type | tuple[type, ...], values: object) -> list[Any]:
+    """A list whose entries are of one kind, and no truth values; `TypeError` if it is none."""
+    if not isinstance(values, list):
+        raise TypeError(f"expected a list, found {type(values).__name__}")
+    for value in values:
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise TypeError(f"expected numbers or texts of one kind in a list, found {value!r:.60}")
+    return values

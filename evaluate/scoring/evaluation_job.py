@@ -11,7 +11,14 @@ from typing import Protocol as Interface
 from evaluate.metrics.network_files import NO_WEIGHTS
 from evaluate.options import Options
 from evaluate.protocols.protocol import Protocol
-from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.results import (
+    FRAMES_FILE,
+    METRICS_FILE,
+    Evaluation,
+    read_results,
+    restore_frames,
+    write_results,
+)
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.frame_store import (
@@ -101,7 +108,7 @@ def _evaluate_locked(job: Job, options: Options, reporter: Reporter) -> tuple[Ev
     for note in labels.notes if labels.setup.origin == "run" else ():
         reporter.warn(f"{labels.subject}, {labels.method}: {note}")
     weights = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
-    earlier = _stored(home)
+    earlier = _stored(home, reporter)
     if earlier is not None:
         if not (touched := touched_images(earlier, home)):
             absent = set(unavailable(protocol, learned, faces))
@@ -109,6 +116,8 @@ def _evaluate_locked(job: Job, options: Options, reporter: Reporter) -> tuple[Ev
                 absent,
                 weights,
             ):
+                if restore_frames(earlier, home):
+                    reporter.warn(f"{home / FRAMES_FILE}: changed since it was written; written again")
                 return earlier, [home / METRICS_FILE, home / FRAMES_FILE]
         else:
             reporter.warn(f"{home}: scored again, because {', '.join(touched)} changed since they were scored")
@@ -129,21 +138,23 @@ def _stale(job: Job) -> str:
     stored, wanted = _read_tolerantly(path), job.task.described()
     if stored.get("key") == job.task.key():
         return ""
-    identity = stored.get("identity")
-    before = identity if isinstance(identity, dict) else {}
+    before = stored.get("identity")
+    if not isinstance(before, dict):
+        return f"its description ({SUMMARY})"
     changed = [name for name, value in wanted["identity"].items() if before.get(name) != value]
     changed += [name for name, value in wanted.items() if name != "identity" and stored.get(name) != value]
     words = {"capture_sha256": "the capture", "checkpoint_sha256": "the checkpoint", "size": "the image size"}
     return " and ".join(words.get(name, f"the {name.replace('_', ' ')}") for name in changed) or "its description"
 
 
-def _stored(home: Path) -> Evaluation | None:
-    """The stored evaluation, if there is a readable one."""
+def _stored(home: Path, reporter: Reporter) -> Evaluation | None:
+    """The stored evaluation; None, with a warning, if it is damaged."""
     if not (home / METRICS_FILE).is_file():
         return None
     try:
         return read_results(home)
-    except InputError:
+    except InputError as error:
+        reporter.warn(f"{error}; scored again now")
         return None
 
 

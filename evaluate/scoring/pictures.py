@@ -28,7 +28,7 @@ from ggavatar.io.atomic import write_atomically
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import image_header
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import write_sealed_json
 from ggavatar.training.run_folder import RunConfig, find_capture, read_config, read_split
 
 WHITE = (1.0, 1.0, 1.0)
@@ -230,5 +230,5 @@ def _copy_pictures(
 
     filled = fill_frames(home, task, capture, copy, digests, progress)
     if not filled.summary["complete"]:
-        write_json(home / SUMMARY, {**filled.summary, "complete": True})
+        write_sealed_json(home / SUMMARY, {**filled.summary, "complete": True})
     return filled

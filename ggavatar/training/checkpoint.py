@@ -22,8 +22,10 @@ from torch import Tensor, nn
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
+from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import require_folder
 from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.regular_files import read_file
 
 KEPT_CHECKPOINTS = 2
 """Number of complete checkpoints that are kept, the newest ones."""
@@ -104,7 +106,7 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
         available = ", ".join(map(str, complete_steps(folder, limit=None))) or "none"
         raise InputError(f"{_path(folder, step)}: missing or damaged; complete checkpoints: {available}")
     try:
-        return safetensors.load(_path(folder, step).read_bytes()), record
+        return safetensors.load(read_file(_path(folder, step), record["bytes"], "a checkpoint")), record
     except SafetensorError as error:
         raise InputError(f"{_path(folder, step)}: not a safetensors file ({error})") from error
 
@@ -133,7 +135,7 @@ def _record(folder: Path, step: int, digest: bool) -> dict[str, Any] | None:
             return None
         if record["step"] != step or path.stat().st_size != record["bytes"]:
             return None
-        if digest and hashlib.sha256(path.read_bytes()).hexdigest() != record["sha256"]:
+        if digest and sha256_of(path) != record["sha256"]:
             return None
     except (OSError, InputError, KeyError, TypeError, AttributeError):
         return None

@@ -32,7 +32,7 @@ from ggavatar.io.atomic import is_partial, remove_partial_files
 from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.held_folders import make_folder
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
@@ -271,8 +271,9 @@ def write_config(folder: Path, config: RunConfig, split: Split) -> None:
         relative = os.path.relpath(capture, folder.resolve())
     except ValueError:  # on another drive of Windows
         relative = ""
-    write_json(folder / "split.json", {"name": config.split, "train": list(split.train), "test": list(split.test)})
-    write_json(
+    lists = {"train": list(split.train), "test": list(split.test)}
+    write_sealed_json(folder / "split.json", {"name": config.split, **lists})
+    write_sealed_json(
         folder / "config.json", {"schema": SCHEMA, "version": VERSION, "capture_relative": relative, **to_plain(config)}
     )
 

@@ -15,7 +15,7 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.held_folders import make_folder
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import write_sealed_json
 from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
@@ -116,12 +116,12 @@ def _train(trainer: Trainer, done: int, config: RunConfig, capture: Capture, sto
         return done
     provenance = provenance_of(config, capture, trainer.split)
     path = trainer.folder / "provenance.json"
-    write_json(path, provenance)
+    write_sealed_json(path, provenance)
     if not quiet:
         sys.stdout.write(describe(config) + "\n")
         trainer.listener = ConsoleListener(done, config.training.steps)
     done = trainer.run(done, stop)
-    write_json(path, {**provenance, **outcome_of(trainer, done)})
+    write_sealed_json(path, {**provenance, **outcome_of(trainer, done)})
     return done
 
 

@@ -23,7 +23,7 @@ from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
 
-KINDS = ("auto", "selfie", "grabcut")
+KINDS = ("auto", "selfie", "rvm", "grabcut")
 NO_MASK, EMPTY_MASK = "no mask", "empty mask"
 """Reasons in capture.json."""
 

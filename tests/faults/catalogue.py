@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from tests.faults import disk, kill, surroundings
 from tests.faults.case import Row
+from tests.faults.hostile import rows as files
 
-ROWS: tuple[Row, ...] = (*kill.ROWS, *disk.ROWS, *surroundings.ROWS)
+ROWS: tuple[Row, ...] = (*kill.ROWS, *disk.ROWS, *surroundings.ROWS, *files.ROWS)
 
 
 def named(patterns: Sequence[str], rows: Sequence[Row] = ROWS) -> list[Row]:

@@ -19,6 +19,7 @@ from ggavatar.io.held_folders import make_folder
 from ggavatar.io.inner_paths import path_inside
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.npz import read_npz, write_npz
+from ggavatar.io.regular_files import read_start
 from preprocess.formats.array_table import ArrayTable, Assume
 from preprocess.formats.frame_set import Frame, collect_frames
 from preprocess.formats.json_fields import (
@@ -55,8 +56,7 @@ def recognizes(folder: Path) -> bool:
 
 
 def _lists_parameters(path: Path) -> bool:
-    with path.open("rb") as stream:
-        return _MARK in stream.read(_HEAD_BYTES)
+    return path.is_file() and _MARK in read_start(path, _HEAD_BYTES)
 
 
 def read(folder: Path) -> TrackingRecord:

@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -160,6 +161,28 @@ def test_damaged_results_are_made_again(run: Run) -> None:
     files[0].write_text("{")
     assert evaluate_run(run.folder, OPTIONS, silent)[0] == first
     json.loads(files[0].read_text())
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "per_frame.csv", "predict.json"])
+def test_a_changed_number_is_noticed_and_made_again(run: Run, name: str) -> None:
+    """A digit of something that was measured."""
+    first, files = evaluate_run(run.folder, OPTIONS, silent)
+    path = files[0].parent / name
+    before = path.read_text()
+    digit = {
+        "metrics.json": r'"mse": \[0\.\d\d(\d)',
+        "per_frame.csv": r",0\.\d\d(\d)",
+        "predict.json": r'"median": (\d)',
+    }
+    found = re.search(digit[name], before)
+    assert found is not None
+    place = found.start(1)
+    path.write_text(f"{before[:place]}{(int(before[place]) + 1) % 10}{before[place + 1 :]}")
+    listener = SilentReporter()
+    again, _ = evaluate_run(run.folder, OPTIONS, listener)
+    assert again.values == first.values and listener.warnings
+    if name != "predict.json":
+        assert path.read_text() == before and name in listener.warnings[0]
 
 
 def test_test_frames_that_were_trained_on_are_refused(run: Run) -> None:
