@@ -152,7 +152,7 @@ def test_a_comparison_ignores_times_and_sees_everything_else(tmp_path: Path) -> 
 
 def test_rows_have_distinct_names_and_cases_that_can_be_repeated() -> None:
     assert len({row.name for row in ROWS}) == len(ROWS)
-    for row in ROWS:
+    for row in (*kill.ROWS, *disk.ROWS, *surroundings.ROWS):
         cases = row.cases(5, 7)
         assert list(cases) == list(row.cases(5, 7)) and len(cases) == 5
         assert len({case.title for case in cases}) == 5 and {case.row for case in cases} == {row.name}
