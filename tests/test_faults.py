@@ -138,11 +138,12 @@ def test_ends_of_commands(ended: Ended, codes: set[int], complaint: str | None) 
 
 
 def test_a_comparison_ignores_times_and_sees_everything_else(tmp_path: Path) -> None:
-    first, second = tmp_path / "first", tmp_path / "second"
+    first, second = tmp_path / "here" / "run", tmp_path / "there" / "run"
     for folder, seconds, loss in ((first, 1.0, 0.5), (second, 2.0, 0.25)):
-        folder.mkdir()
+        folder.mkdir(parents=True)
         (folder / "journal.jsonl").write_text(f'{{"step": 1, "seconds": {seconds}}}\n')
         (folder / "table.csv").write_text(f"metric,value\nefficiency,{seconds}\n")
+        (folder / "run.json").write_text(f'{{"run": "{folder}"}}')
         (folder / "metrics.json").write_text(f'{{"loss": {loss}}}')
     (second / ".1.part").write_text("")
     assert differences(contents(second), contents(first)) == [".1.part: left over", "metrics.json: differs"]
@@ -152,7 +153,7 @@ def test_a_comparison_ignores_times_and_sees_everything_else(tmp_path: Path) -> 
 
 def test_rows_have_distinct_names_and_cases_that_can_be_repeated() -> None:
     assert len({row.name for row in ROWS}) == len(ROWS)
-    for row in ROWS:
+    for row in (*kill.ROWS, *disk.ROWS, *surroundings.ROWS):
         cases = row.cases(5, 7)
         assert list(cases) == list(row.cases(5, 7)) and len(cases) == 5
         assert len({case.title for case in cases}) == 5 and {case.row for case in cases} == {row.name}

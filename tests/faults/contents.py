@@ -17,9 +17,9 @@ from safetensors import safe_open
 
 MEASURED = frozenset(
     {"started", "argv", "seconds", "training_seconds", "peak_memory_mib", "peak_gpu_memory_mib"}
-    | {"peak_memory_megabytes", "efficiency", "timing", "record_sha256"}
+    | {"peak_memory_megabytes", "efficiency", "timing", "record_sha256", "content_sha256"}
 )
-"""Keys of JSON files whose values are times, memory, the command line, and a digest over them."""
+"""Keys of JSON files whose values are times, memory, the command line, and digests over them."""
 COSTS = "efficiency"
 """Name of the table of times and memory."""
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
@@ -28,9 +28,10 @@ NOT_COMPARED = re.compile(r"\.log$")
 
 
 def contents(root: Path) -> dict[str, str]:
-    """A digest of every file of a folder (or of one file) by its name, of what does not depend on time."""
+    """A digest of every file of a folder (or of one file) by its name, of what does not depend on time or place."""
+    home = str(root.resolve().parent)
     files = [root] if root.is_file() else sorted(path for path in root.rglob("*") if not path.is_dir())
-    return {path.relative_to(root).as_posix() if path != root else "": _digest(path) for path in files}
+    return {path.relative_to(root).as_posix() if path != root else "": _digest(path, home) for path in files}
 
 
 def differences(found: Mapping[str, str], expected: Mapping[str, str]) -> list[str]:
@@ -53,14 +54,15 @@ def half_written(root: Path) -> list[str]:
     return wrong
 
 
-def _digest(path: Path) -> str:
+def _digest(path: Path, home: str) -> str:
+    """The digest of one file; `home` is left out of the paths that it names."""
     if path.is_symlink():
         return f"link to {path.readlink()}"
     if NOT_COMPARED.search(path.name):
         return "not compared"
     try:
         if path.suffix == ".json":
-            return _digest_of(json.dumps(_without_times(json.loads(path.read_text()))).encode())
+            return _digest_of(json.dumps(_without_times(json.loads(path.read_text()))).replace(home, "").encode())
         if path.suffix == ".jsonl":
             lines = [_without_times(json.loads(line)) for line in path.read_text().splitlines()]
             return _digest_of(json.dumps(lines).encode())

@@ -7,11 +7,13 @@ import functools
 import os
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 PLENTY = 1 << 30
+TRIES = 40
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,12 @@ class SmallDisk:
         _mount("-o", f"remount,rw,size={max(size, self.used, 4096)}", self.folder)
 
     def make_read_only(self) -> None:
-        """Refuse all writing, also root's; nothing may be open for writing."""
+        """Refuse all writing, also root's; what was killed a moment ago may still have to close its files."""
+        for _ in range(TRIES):
+            with contextlib.suppress(subprocess.CalledProcessError):
+                _mount("-o", "remount,ro", self.folder)
+                return
+            time.sleep(0.05)
         _mount("-o", "remount,ro", self.folder)
 
 

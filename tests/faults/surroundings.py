@@ -1,11 +1,12 @@
 """Every command in surroundings that are not what it is used to: signals, streams, limits, locales, names, caches.
 
 Each command meets each of them. A signal comes at a random moment. Names are those of the command's inputs and output.
-The caches are copies of the user's own, with damaged files; the empty one is filled by two commands at once.
+Caches are copies of the user's own with a tenth of the files damaged; an empty one is filled by two commands at once.
 """
 
 from __future__ import annotations
 
+import functools
 import random
 import shutil
 import signal
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggavatar.io.cache_folder import cache_folder
+from ggavatar.jit.kernel_cache import source_digest
 from tests.faults import tasks
 from tests.faults.bench import Bench, Event, Surroundings, signal_group
 from tests.faults.case import Case, Row
@@ -33,15 +35,15 @@ TASKS = (
     tasks.EVAL,
     tasks.RENDER,
     tasks.EXPORTS[0],
-    tasks.SWEEP,
+    tasks.ONE_CELL,
     tasks.MODELS,
 )
 SUCCESS, FAILED, BAD_INPUT = 0, 1, 2
 INTERRUPTED, TERMINATED = {130, -signal.SIGINT}, {143, -signal.SIGTERM}
 """What a shell shows for a command that a signal has ended is 128 and the number of the signal."""
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
-LINES_OF_SWEEP = 4
-"""Messages of a sweep: one for each of its two trainings, their own and its evaluation's."""
+LINES_OF_SWEEP = 2
+"""Messages of a sweep: its own, and that of its training."""
 
 
 @dataclass(frozen=True)
@@ -153,15 +155,25 @@ def _damaged_cache(damage: Callable[[bytes, random.Random], bytes]) -> Callable:
         expected = reference(task, bench).contents if task.output else {}
         cache, draw = folder / "cache", random.Random(seed)
         compiled = cache / "ggavatar" / "compiled"
-        shutil.copytree(cache_folder("compiled"), compiled)
-        cache.chmod(0o700)
+        compiled.mkdir(parents=True, mode=0o700)
+        for name in todays_kernels():
+            if (cache_folder("compiled") / name).is_dir():
+                shutil.copytree(cache_folder("compiled") / name, compiled / name)
         files = sorted(path for path in compiled.rglob("*") if path.is_file())
-        for path in draw.sample(files, max(len(files) // 50, 1)):
+        for path in draw.sample(files, -(-len(files) // 10)):
             path.write_bytes(damage(path.read_bytes(), draw))
         wrong = _plain({SUCCESS}, {"GGAVATAR_CACHE": str(cache)})(task, bench, folder, seed)
         return [*wrong, *(differences(contents(folder / task.output), expected) if task.output else [])]
 
     return act
+
+
+@functools.cache
+def todays_kernels() -> tuple[str, ...]:
+    """Names of the folders of compiled kernels that belong to the sources as they are."""
+    sources = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    kernels = [path for path in sources if "ggavatar.jit.kernels import" in path.read_text(encoding="utf-8")]
+    return tuple(source_digest(path) for path in kernels)
 
 
 def _cut(data: bytes, draw: random.Random) -> bytes:

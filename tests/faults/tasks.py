@@ -112,13 +112,15 @@ RENDER = Task(
 ORBIT = Task(
     "render-orbit", "render", lambda bench: ("run", "--orbit", "--views", 8, "-o", "orbit"), copy_of_run, "orbit", True
 )
-SWEEP = Task(
-    "sweep",
-    "sweep",
-    lambda bench: (capture(bench), "--seeds", 1, 2, "--steps", 10, "--set", "perceptual_weight=0", "-o", "sweep"),
-    nothing,
-    "sweep",
-)
+
+
+def _sweep(name: str, *flags: object) -> Task:
+    steps = ("--steps", 10, "--set", "perceptual_weight=0")
+    return Task(name, "sweep", lambda bench: (capture(bench), *flags, *steps, "-o", "sweep"), nothing, "sweep")
+
+
+SWEEP = _sweep("sweep", "--seeds", 1, 2)
+ONE_CELL = _sweep("sweep-of-one", "--train-only")
 EXPORTS = (
     _export("ply", "face.ply"),
     _export("splat", "face.splat"),
