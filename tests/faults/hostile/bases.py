@@ -66,7 +66,7 @@ class Trees:
 
 def make_trees(home: Path) -> Path:
     """Make every valid tree below a folder, in a process of its own: trainings handle signals."""
-    code = f"from pathlib import Path; from {__name__} import make_tree, names; "
+    code = f"from pathlib import Path; from {__name__} import {make_tree.__name__}, names; "
     code += "import sys; [make_tree(name, Path(sys.argv[1]) / name) for name in names()]"
     ended = subprocess.run(
         [sys.executable, "-c", code, str(home)], cwd=ROOT, capture_output=True, text=True, check=False

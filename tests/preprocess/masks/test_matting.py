@@ -148,7 +148,7 @@ class FakeRuntime(types.ModuleType):
     def SessionOptions(self):
         return types.SimpleNamespace()
 
-    def InferenceSession(self, content, options, providers):
+    def InferenceSession(self, content, options, **_):
         assert options.log_severity_level == 4
         if content != b"network":
             raise RuntimeError("INVALID_PROTOBUF\nmore")
