@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -52,11 +53,14 @@ class DemoFolder:
     ) -> None:
         partial = partial_file(self.folder / VIDEO)
         try:
-            for packet in self._stream.encode():
-                self._video.mux(packet)
-            self._video.close()
             if kind is None:
+                for packet in self._stream.encode():
+                    self._video.mux(packet)
+                self._video.close()
                 partial.replace(self.folder / VIDEO)
+            else:
+                with suppress(OSError):  # what has failed is told, not that the rest fails too
+                    self._video.close()
         finally:
             partial.unlink(missing_ok=True)
 

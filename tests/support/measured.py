@@ -13,7 +13,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 
 _PROGRAM = """
-import importlib, json, pathlib, resource, sys, time
+import importlib, json, pathlib, sys, time
 module, name, *files = sys.argv[1:]
 read = getattr(importlib.import_module(module), name)
 from ggavatar.errors import InputError
@@ -24,7 +24,8 @@ for file in files:
         said = None
     except InputError as error:
         said = str(error)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    status = pathlib.Path("/proc/self/status").read_text()  # getrusage counts the parent's memory at the fork too
+    peak = int(status.partition("VmHWM:")[2].split()[0])
     print(json.dumps([said, time.process_time() - began, peak >> 10]), flush=True)
 """
 

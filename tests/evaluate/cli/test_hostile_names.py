@@ -20,6 +20,7 @@ from evaluate.escaping.latex import COMMANDS
 from evaluate.protocols.results import write_results
 from evaluate.tables.format_data import FIELDS
 from ggavatar.io.images import read_rgb
+from ggavatar.io.json_files import read_json
 from ggavatar.text.names import clean_name, clean_text
 from tests.support.evaluations import evaluation
 from tests.support.hostile_names import HOSTILE
@@ -42,7 +43,7 @@ def write_stored(folder: Path, names: list[str]) -> list[str]:
     for seed, name in enumerate(names):
         home = folder / f"{seed:03d}"
         path, _ = write_results(evaluation("s", "m", lpips=(), seed=seed), home)
-        content = json.loads(path.read_text())
+        content = read_json(path)
         content |= {"subject": name, "method": names[seed % 4], "notes": [name], "provenance": {name: name}}
         content["setup"] = {
             "origin": "run",

@@ -77,7 +77,7 @@ def test_another_capture_drives(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_p
     folder = run.folder / "renders" / "drive-driver"
     assert len(names(folder / "frames")) == COUNT and (folder / "reenactment.png").exists()
     assert read_rgb(folder / "frames" / "000010.png").shape == (2 * HEIGHT, 2 * WIDTH, 3)
-    assert json.loads((folder / "render.json").read_text())["options"]["transfer"] == "relative"
+    assert json.loads((folder / "render.json").read_text())["options"]["transfer"] == "matched"
     alone = read_rgb(folder / "reenactment.png").shape
     again = ["--drive", tmp_path / "driver", "--width", 64, "--resume", "--no-video", "--beside"]
     assert render(monkeypatch, run, *again, folder) == 0
@@ -97,12 +97,15 @@ def test_parameters_drive_and_other_bases_do_not(
     assert names(tmp_path / "part" / "frames") == ["000001.png", "000003.png"]
     assert (tmp_path / "part" / "reenactment.png").is_file()
     np.savez(tmp_path / "short.npz", expression=motion[:, :2], version="toy-1")
-    assert render(monkeypatch, run, "--drive", tmp_path / "short.npz") == 2
+    copied = ["--transfer", "relative", "--no-video"]
+    assert render(monkeypatch, run, "--drive", tmp_path / "short.npz", *copied) == 2
     assert "--force-basis" in capsys.readouterr().err
-    assert render(monkeypatch, run, "--drive", tmp_path / "short.npz", "--force-basis", "--no-video") == 0
+    assert render(monkeypatch, run, "--drive", tmp_path / "short.npz", "--force-basis", *copied) == 0
     np.savez(tmp_path / "flame.npz", expression=motion, version="flame2020")
-    assert render(monkeypatch, run, "--drive", tmp_path / "flame.npz", "--force-basis") == 2
+    assert render(monkeypatch, run, "--drive", tmp_path / "flame.npz", "--force-basis", *copied) == 2
     assert "mean different things" in capsys.readouterr().err
+    assert render(monkeypatch, run, "--drive", tmp_path / "flame.npz", "--no-video") == 2
+    assert "its head has other axes" in capsys.readouterr().err
 
 
 def test_a_second_render_is_refused_and_a_typo_of_resume_too(
@@ -209,7 +212,7 @@ def test_existing_output(run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pyte
         (["--frames", "5"], "START:STOP"),
         (["--frames", "7:9"], "START:STOP"),
         (["--background", "mauve"], "--background"),
-        (["--drive", "no-such-folder"], "capture folder or an .npz"),
+        (["--drive", "no-such-folder"], "capture folder, an .npz"),
         (["--orbit", "--target-neutral", "3"], "no frame 3"),
     ],
 )

@@ -17,6 +17,7 @@ from evaluate.scoring.ground_truth import GroundTruth
 from evaluate.scoring.predict import predict_frames, prediction_task
 from ggavatar.errors import InputError
 from ggavatar.io.images import read_gray, read_rgb
+from ggavatar.io.json_files import sealed
 from ggavatar.training.run_folder import Run
 from tests.support.toy_run import HEIGHT, WIDTH, toy_run
 
@@ -51,7 +52,7 @@ def test_files_are_what_was_rendered_and_composited(run: Run, tmp_path: Path) ->
     assert np.array_equal(read_gray(tmp_path / "out/masks/000012.png"), run.capture.mask(12))
     assert summary["complete"] and summary["frames"] == [10, 12, 15] and summary["gaussians"] == {"median": 2, "max": 2}
     assert summary["timing"]["frames"] == 2 and summary["timing"]["fps"] > 0
-    assert json.loads((tmp_path / "out/predict.json").read_text()) == summary
+    assert json.loads((tmp_path / "out/predict.json").read_text()) == sealed(summary)
 
 
 def test_background_size_and_binary_mask(run: Run, tmp_path: Path) -> None:

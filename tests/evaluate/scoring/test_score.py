@@ -185,5 +185,5 @@ def test_results_of_other_kinds_are_refused(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(InputError, match="no such file"):
         read_results(tmp_path / "absent.json")
     monkeypatch.setattr("evaluate.protocols.results.MAX_BYTES", 10)
-    with pytest.raises(InputError, match="expected at most"):
+    with pytest.raises(InputError, match="of at most 10 bytes"):
         read_results(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import warnings
 import zipfile
 from collections.abc import Iterator
 
@@ -114,7 +115,9 @@ def _script() -> bytes:
             return x
 
     stream = io.BytesIO()
-    torch.jit.save(torch.jit.script(Writer()), stream)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.jit.save(torch.jit.script(Writer()), stream)
     return stream.getvalue()
 
 

@@ -26,6 +26,7 @@ from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply
 from ggavatar.formats.splats.stored_gaussians import StoredGaussians, activate
 from ggavatar.head.files import load_head
 from ggavatar.io.folder_lock import lock_output
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.training.run_folder import open_run
 from ggavatar.training.session import train_run
 from tests.support.gaussian_cloud import psnr
@@ -323,8 +324,8 @@ def test_a_capture_that_was_moved_away_from_its_run_is_named(
     run, moved = tmp_path / "a" / "b" / "c" / "run", tmp_path / "moved"
     shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
     shutil.copytree(toy_capture.folder, moved)
-    config = (run / "config.json").read_text().replace(str(toy_capture.folder), str(tmp_path / "gone"))
-    (run / "config.json").write_text(config)
+    config = {**read_json(run / "config.json"), "capture": str(tmp_path / "gone")}
+    write_sealed_json(run / "config.json", config)
     assert export(run) == 2 and "name its new location with --capture" in capsys.readouterr().err
     capsys.readouterr()
     assert export(run, "--capture", moved) == 0 and "has changed since" not in capsys.readouterr().out

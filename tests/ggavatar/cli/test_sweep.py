@@ -19,6 +19,7 @@ import pytest
 from ggavatar.cli import sweep, train
 from ggavatar.data.capture import Capture
 from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.losses.vgg import PerceptualLoss, random_weights
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.sweeps.backends import run_logged
@@ -186,7 +187,8 @@ def test_cells_of_another_capture_are_not_counted_as_trained(
     cell = grid / "anna" / "ggavatar" / "seed-42"
     train_run(capture, cell, {"steps": 2, "device": "cpu", "set": ["perceptual_weight=0"]}, quiet=True)
     record = cell / "provenance.json"
-    record.write_text(json.dumps({**json.loads(record.read_text()), "finished": finished}))
+    values = {**read_json(record), "finished": finished}
+    write_sealed_json(record, values)
     images = sorted((capture / "images").iterdir())
     images[0].write_bytes(images[1].read_bytes())
     words = ["-o", grid, "--device", "cpu", "--set", "perceptual_weight=0"]

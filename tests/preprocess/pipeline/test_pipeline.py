@@ -63,7 +63,7 @@ def test_the_doctor_waits_for_nobody_and_reads_what_it_may_not_write(capture, mo
     monkeypatch.setattr(diagnosis, "write_report", refuse)
     assert doctor([str(capture.folder)]) == 1
     error = capsys.readouterr().err
-    assert "cannot be written (Permission denied); add --dry-run" in error and "-o" not in error
+    assert "cannot be written (Permission denied); add --dry-run" in error and " -o" not in error
     assert doctor([str(capture.folder), "--dry-run"]) == 0
 
 
