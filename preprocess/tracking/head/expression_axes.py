@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from ggavatar.head.axis_names import TRACKED_AXES
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
 
-JOINT_SCORES = ("neutral", "jawForward", "jawLeft", "jawOpen", "jawRight", "eyeBlinkLeft", "eyeBlinkRight")
-"""Scores that joints and lids represent instead of axes, as do gaze scores (eyeLook…)."""
-
-AXES = tuple(name for name in NAMES if name not in JOINT_SCORES and not name.startswith("eyeLook"))
+AXES = TRACKED_AXES
 """Named expression coefficients in order; one unit is the full expression of the blendshape of that name."""
 
 # The procedural head's expressions that make up each axis: name and amount. Sides follow the axis.
