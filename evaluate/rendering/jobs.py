@@ -14,12 +14,13 @@ from torch import Tensor
 from evaluate.figures.novel_views import novel_views
 from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.figures.video import playback_fps
-from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of, read_driving_sequence
+from evaluate.motion.driving_sequence import driving_sequence_of
 from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
-from evaluate.motion.retarget import drives_and_cameras, match_basis
-from evaluate.motion.transfer import TransferOptions, neutral_row, transfer_performance
+from evaluate.motion.retarget import drives_and_cameras
+from evaluate.motion.transfer import TransferOptions
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN
+from evaluate.rendering.performances import NeutralFrames, carried_over, row_of_neutral
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
 from evaluate.rendering.views import FRAMES, RGBA, VIDEO, Output, View, claim_folder, method_of_output, render_views
 from evaluate.scoring.frame_files import find_frame
@@ -110,7 +111,7 @@ def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
 
 def _neutral_view(options: Options, run: Run) -> tuple[Drive, Camera, Tensor]:
     """Drive and camera of the neutral frame, and the center of the head, m."""
-    frame = run.capture.frames[_neutral_row(driving_sequence_of(run.capture), options.target_neutral)]
+    frame = run.capture.frames[row_of_neutral(driving_sequence_of(run.capture), options.target_neutral)]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
     return drive, camera, head_center(_head(run), drive)
 
@@ -133,14 +134,9 @@ def _orbit(
 
 def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     source = options.drive or Path()
-    target, driver = driving_sequence_of(run.capture), read_driving_sequence(source)
-    driver = match_basis(driver, target, options.force_basis)
-    if options.transfer == "absolute" and options.pose == "absolute" and driver.cameras is None:
-        raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
     how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
-    seen = target.rows(np.array([target.row(frame) for frame in run.split.train]))
-    neutral_rows = _neutral_row(driver, options.neutral), _neutral_row(seen, options.target_neutral)
-    moved = transfer_performance(driver, neutral_rows[0], seen, neutral_rows[1], how)
+    neutral = NeutralFrames(options.neutral, options.target_neutral)
+    driver, moved = carried_over(run, source, how, neutral, options.force_basis)
     views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
 
     def write_figure(output: Output) -> Path:
@@ -174,10 +170,6 @@ def _driver_images(source: Path, frames: Sequence[int], background: Color) -> li
         return []
     capture = Capture.open(source)
     return [GroundTruth(background).image_and_mask(capture, frame)[0] for frame in frames]
-
-
-def _neutral_row(sequence: DrivingSequence, frame: int | None) -> int:
-    return neutral_row(sequence) if frame is None else sequence.row(frame)
 
 
 def _head(run: Run) -> HeadModel:

@@ -92,9 +92,7 @@ def _ict_axes(names: Iterable[str]) -> dict[str, tuple[tuple[str, float], ...]]:
     return axes
 
 
-def _moved(
-    axes: Mapping[str, Iterable[tuple[str, float]]], names: tuple[str, ...]
-) -> dict[str, tuple[Target, ...]]:
+def _moved(axes: Mapping[str, Iterable[tuple[str, float]]], names: tuple[str, ...]) -> dict[str, tuple[Target, ...]]:
     """Targets in the expression coefficients, for the axes that a head has."""
     found = {
         arkit: tuple(Target("expression", names.index(name), factor) for name, factor in own if name in names)

@@ -30,7 +30,7 @@ def chromium() -> str | None:
 
 
 class Page:
-    """An open page: evaluates expressions, plays mouse, keys and files, and records requests, messages and exceptions."""
+    """An open page: evaluates expressions, plays mouse, keys and files, records requests, messages and exceptions."""
 
     def __init__(self, out: int, back: int, address: str, width: int, height: int) -> None:
         self._out, self._back, self._buffer, self._count = out, back, b"", 0
@@ -40,7 +40,9 @@ class Page:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log", "DOM"):
             self.call(f"{domain}.enable")
-        self.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=-1, uploadThroughput=-1)
+        self.call(
+            "Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=-1, uploadThroughput=-1
+        )
         self.resize(width, height)
         self.call("Page.navigate", url=address)
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):

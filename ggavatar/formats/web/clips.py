@@ -10,9 +10,9 @@ from torch import Tensor
 
 from ggavatar.core import Camera, Drive
 from ggavatar.errors import InputError, nearest
+from ggavatar.formats.web.options import CLIPS
 from ggavatar.training.run_folder import Run
 
-CLIPS = ("test", "train", "all", "none")
 MAX_CLIP_FRAMES = 10_000
 SPARSE_FPS = 4.0
 """Largest rate of frames that are not consecutive, frames per second."""
@@ -56,7 +56,7 @@ def capture_clip(run: Run, which: str) -> Clip | None:
 
 
 def clip_rate(frames: Sequence[int], fps: float) -> float:
-    """The source's rate if its frames are consecutive; else slower, since the page moves evenly from one to the next."""
+    """The source's rate if its frames are consecutive; else at most `SPARSE_FPS`, since the page fills the gaps."""
     steps = np.diff(sorted(frames))
     return fps if len(steps) and float(np.median(steps)) == 1 else min(fps, SPARSE_FPS)
 

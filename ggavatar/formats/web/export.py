@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
 
-from ggavatar import __version__
 from ggavatar.core import Drive
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.errors import InputError
-from ggavatar.formats.drives import mean_training_view
 from ggavatar.formats.output_folder import check_output_file
-from ggavatar.formats.web.clips import CLIPS, Clip, capture_clip, clip_arrays
+from ggavatar.formats.web.clips import Clip, capture_clip, clip_arrays
 from ggavatar.formats.web.container import MAX_GAUSSIANS, MAX_UNPACKED_BYTES, pack
-from ggavatar.formats.web.controls import control_description
+from ggavatar.formats.web.description import describe
+from ggavatar.formats.web.options import WebOptions, check_web_options
 from ggavatar.formats.web.page import page
 from ggavatar.formats.web.pruning import VIEWS, kept_rows, visible_weights
 from ggavatar.formats.web.reduction import reduced
-from ggavatar.formats.web.tensors import Tensors, avatar_tensors, chosen_rows
+from ggavatar.formats.web.tensors import Tensors, avatar_tensors, chosen_rows, rounded
 from ggavatar.gaussians.bound_parts import BoundParts, condition, posed
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
@@ -37,28 +33,6 @@ RANK_FRAMES = 160
 """Training frames whose offsets decide which hidden columns are kept."""
 COMPARED_FRAMES = 4
 """Test frames in which the copy is compared with the run."""
-_ORIGIN = re.compile(r"https?://[A-Za-z0-9.\-]+(:\d{1,5})?|https?://\[[0-9a-fA-F:.]+\](:\d{1,5})?")
-FROM_DISK = "null"
-"""The origin of pages that are opened from the disk."""
-
-
-@dataclass(frozen=True)
-class WebOptions:
-    """Options of --format web."""
-
-    clip: str = "test"
-    """Web: frames of the capture to play: test, train, all or none."""
-    prune: float = 0.001
-    """Web: leave out the least visible Gaussians, which hold this share of the visible weight; 0 keeps all."""
-    rank: int = 16
-    """Web: columns kept of the adjuster's hidden layer."""
-    exact: bool = False
-    """Web: store every number as float32 (five times the size) and all columns; for comparisons."""
-    embed: str | None = None
-    """Web: origin of pages that may drive the avatar by messages, such as https://example.org; "null" for pages opened
-    from the disk."""
-    include_head_model: bool = False
-    """Web: pass on a licensed head model with the page; only where its license allows that."""
 
 
 class WebExport(NamedTuple):
@@ -81,24 +55,7 @@ class WebExport(NamedTuple):
     notes: tuple[str, ...]
 
 
-def check_web_options(options: WebOptions) -> None:
-    """Raise an `InputError` for options that cannot be."""
-    if not 0 <= options.prune < 0.5:
-        raise InputError(f"expected --prune from 0 to 0.5, found {options.prune:g}; 0.001 is the default")
-    if not 1 <= options.rank <= 256:
-        raise InputError(f"expected --rank from 1 to 256, found {options.rank}; 16 is the default")
-    if options.embed is not None and options.embed != FROM_DISK and not _ORIGIN.fullmatch(options.embed):
-        raise InputError(
-            f"expected --embed with the origin of a site, such as https://example.org (no path), or {FROM_DISK} for "
-            f"pages opened from the disk, found {options.embed!r}"
-        )
-    if options.clip not in CLIPS:
-        raise InputError(f"expected --clip {', '.join(CLIPS)}, found {options.clip!r}")
-
-
-def export_web(
-    run: Run, options: WebOptions, path: Path, overwrite: bool, clips: Sequence[Clip] = ()
-) -> WebExport:
+def export_web(run: Run, options: WebOptions, path: Path, overwrite: bool, clips: Sequence[Clip] = ()) -> WebExport:
     """Write the page of a run.
 
     Args:
@@ -109,8 +66,8 @@ def export_web(
         clips: Performances besides that of the run's capture; they come first.
 
     Raises:
-        InputError: The method cannot be shown by a page, the head is licensed, the avatar is too large for a browser, or
-            the file exists.
+        InputError: The method cannot be shown by a page, the head is licensed, the avatar is too large for a
+            browser, or the file exists.
     """
     check_web_options(options)
     check_output_file(path, overwrite)
@@ -123,11 +80,14 @@ def export_web(
     described = [_put_clip(tensors, index, clip, small) for index, clip in enumerate([*clips, *([own] if own else [])])]
     _check_size(run, tensors, len(small.face))
     title = f"{run.capture.subject} · {run.method}"
-    description = describe(run, small, options, drives) | {"title": title, "clips": described}
+    description = describe(run, small, drives) | {"title": title, "clips": described, "embed": options.embed}
     text = page(title, pack(tensors, description))
     write_text(path, text)
-    notes = () if description["controls"]["arkit"] else (f"ARKit's curves have no map to the head {small.head.version}",)
-    return WebExport(path, len(text), len(small.face), len(whole.face), _psnr(run, small), notes)
+    psnr = _psnr(run, rounded(small, tensors))
+    notes = (
+        () if description["controls"]["arkit"] else (f"ARKit's curves have no map to the head {small.head.version}",)
+    )
+    return WebExport(path, len(text), len(small.face), len(whole.face), psnr, notes)
 
 
 def parts_of(run: Run) -> BoundParts:
@@ -135,8 +95,8 @@ def parts_of(run: Run) -> BoundParts:
     offer: Callable[[], BoundParts] | None = getattr(run.avatar, "bound_parts", None)
     if offer is None:
         raise InputError(
-            f"{run.folder}: {run.method} cannot be shown by a web page, which poses Gaussians on triangles and knows no "
-            "network a Gaussian; render a video with ggavatar-render instead"
+            f"{run.folder}: {run.method} cannot be shown by a web page, which poses Gaussians on triangles only; "
+            "render a video with ggavatar-render instead"
         )
     return offer()
 
@@ -146,8 +106,8 @@ def check_license(run: Run, head: HeadModel, options: WebOptions) -> None:
     if head.version.startswith(LICENSED_HEADS) and not options.include_head_model:
         raise InputError(
             f"{run.folder}: the page would contain the template, the bases and the weights of the head model "
-            f"{head.version!r}, whose license does not let you pass them on; add --include-head-model if yours does, or "
-            "if the page stays with you"
+            f"{head.version!r}, whose license does not let you pass them on; add --include-head-model if yours does, "
+            "or if the page stays with you"
         )
 
 
@@ -175,58 +135,6 @@ def _put_clip(tensors: Tensors, index: int, clip: Clip, parts: BoundParts) -> di
     return {"name": clip.name, "fps": clip.fps, "frames": list(clip.frames)}
 
 
-def describe(run: Run, parts: BoundParts, options: WebOptions, drives: list[Drive]) -> dict[str, Any]:
-    """What the page must know besides the tensors, as plain values."""
-    head, adjuster = parts.head, parts.adjuster
-    camera = run.reader.camera(run.capture.frames[0])
-    return {
-        "method": run.method,
-        "created_by": {"ggavatar": __version__, "step": run.step, "run_sha256": run.sha256},
-        "head": {
-            "version": head.version,
-            "vertices": len(head.template),
-            "triangles": len(head.faces),
-            "expressions": head.expression_basis.shape[2],
-            "pose_correctives": head.pose_basis.shape[2],
-            "joint_names": list(head.joint_names),
-            "parents": list(head.parents),
-            "neck_carries_lids": "neck" in head.joint_names,
-        },
-        "gaussians": len(parts.face),
-        "sh_degree": math.isqrt(parts.harmonics.shape[1]) - 1,
-        "follows_face": parts.follows_face,
-        "holds_torso": parts.holds_torso and parts.poses.in_camera,
-        "moves_camera": parts.poses.in_camera,
-        "adjuster": None
-        if adjuster is None
-        else {
-            "rows": len(adjuster.last_bias),
-            "latent": adjuster.last_bias.shape[1],
-            "rank": adjuster.hidden.shape[1],
-            "layers": len(adjuster.latent_layers),
-            "unit": adjuster.unit,
-            "color_unit": adjuster.color_unit,
-            "sees_pose": adjuster.sees_pose,
-        },
-        "background": [round(value, 6) for value in run.background.tolist()],
-        "camera": {
-            "width": camera.width,
-            "height": camera.height,
-            "intrinsics": camera.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(),
-        },
-        "rest": {"view": mean_training_view(head, parts.poses, drives)[:3].flatten().tolist(), "center": _center(head).tolist()},
-        "controls": control_description(head, parts.poses, drives),
-        "embed": options.embed,
-    }
-
-
-def _center(head: HeadModel) -> Tensor:
-    """The point about which the view turns: the center of the skull's box, m."""
-    skull = [head.regions[name] for name in ("face", "scalp", "ears") if name in head.regions]
-    points = head.template[torch.cat(skull)] if skull else head.template
-    return (points.amin(0) + points.amax(0)) / 2
-
-
 def _check_size(run: Run, tensors: Tensors, count: int) -> None:
     total = sum(array.nbytes for array in tensors.values())
     if total > MAX_UNPACKED_BYTES or count > MAX_GAUSSIANS:
@@ -238,7 +146,7 @@ def _check_size(run: Run, tensors: Tensors, count: int) -> None:
 
 @torch.no_grad()
 def _psnr(run: Run, parts: BoundParts) -> float | None:
-    """PSNR of the smaller avatar against the run, over pixels of a few test frames, dB; without rounding to bits."""
+    """PSNR of the page's avatar against the run, over the pixels of a few test frames, dB."""
     numbers = evenly_spaced(run.split.test, COMPARED_FRAMES)
     if not numbers:
         return None

@@ -1,7 +1,7 @@
 """The page of a web avatar, assembled from its sources in `page/`: one HTML file with style, scripts, shaders and data.
 
 The scripts are ES modules with one import a line, so that node can test each alone. A bundle is the modules that an
-entry needs, in the order of their imports, without `import` and `export`; so no two may use one name at their top level.
+entry needs, in the order of their imports, without `import` and `export`, in one scope: no two may define one name.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ def visible_weights(
 
 
 def kept_rows(weights: Float[Tensor, " N"], opacities: Float[Tensor, " N"], share: float) -> Bool[Tensor, " N"]:
-    """All but the Gaussians that no rasterizer blends and the least visible, which hold `share` of the summed weight."""
+    """All but Gaussians that no rasterizer blends, and the least visible, which hold `share` of the summed weight."""
     ascending, order = weights.double().sort()
     dropped = ascending.cumsum(0) <= share * ascending.sum()
     keep = opacities >= MIN_ALPHA

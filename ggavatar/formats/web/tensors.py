@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ggavatar.formats.web.quantization import quantize
+from ggavatar.formats.web.quantization import Quantized, dequantize, quantize
 from ggavatar.gaussians.bound_parts import AdjusterParts, BoundParts
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
@@ -42,6 +42,12 @@ class Tensors(dict[str, np.ndarray]):
             self[name] = array
             return
         self[name], self[f"{name}.low"], self[f"{name}.step"] = quantize(array, bits, per)
+
+    def numbers(self, name: str) -> np.ndarray:
+        """A matrix as the page reads it."""
+        if f"{name}.low" not in self:
+            return self[name]
+        return dequantize(Quantized(self[name], self[f"{name}.low"], self[f"{name}.step"]))
 
     def put_basis(self, name: str, basis: Tensor) -> None:
         """Store a basis [V, 3, E] coefficient by coefficient, in steps of at most a tenth of a millimeter."""
@@ -77,6 +83,33 @@ def chosen_rows(parts: BoundParts, keep: Bool[Tensor, " N"]) -> BoundParts:
     columns = ("face", "means", "quats", "log_scales", "opacity_logits", "harmonics")
     adjuster = parts.adjuster and dataclasses.replace(parts.adjuster, hidden=parts.adjuster.hidden[rows])
     return dataclasses.replace(parts, adjuster=adjuster, **{name: getattr(parts, name)[rows] for name in columns})
+
+
+def rounded(parts: BoundParts, tensors: Tensors) -> BoundParts:
+    """The parts as the page has them: with the numbers that the tensors give back."""
+
+    def read(name: str) -> Tensor:
+        array = tensors.numbers(name)
+        return torch.from_numpy(array).to(parts.means)
+
+    head, adjuster = parts.head, parts.adjuster
+    bases = {
+        name: read(name).view(-1, len(head.template), 3).permute(1, 2, 0)
+        for name in ("expression_basis", "eyelid_basis")
+    }
+    small_head = dataclasses.replace(
+        head, template=read("template"), skinning_weights=read("skinning_weights"), **bases
+    )
+    return dataclasses.replace(
+        parts,
+        head=small_head,
+        means=read("means"),
+        quats=read("quats"),
+        log_scales=read("log_scales"),
+        opacity_logits=read("opacity_logits")[:, 0],
+        harmonics=read("harmonics").unflatten(1, (-1, 3)),
+        adjuster=adjuster and dataclasses.replace(adjuster, hidden=read("adjuster.hidden")),
+    )
 
 
 def _put_head(tensors: Tensors, head: HeadModel) -> None:

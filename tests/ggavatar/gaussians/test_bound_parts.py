@@ -11,31 +11,11 @@ import torch
 from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.gaussians.bound_parts import posed
-from ggavatar.training.plan import TrainingPlan
 from ggavatar.training.registry import load, names
-from ggavatar.training.run_folder import RunConfig, make_scene
+from tests.support.untrained_avatars import untrained
 
 OFFERING = {"ggavatar", "ggavatar_plus", "gaussian_avatars"}
 WITHOUT = {"flash_avatar", "gaussian_blendshapes", "point_avatar"}
-
-
-def untrained(method: str, capture: Capture, steps_done: int, **settings: Any) -> Any:
-    """An avatar with random offsets, colors and rotations, as if after some steps."""
-    chosen = load(method)
-    config = RunConfig(method, str(capture.folder), training=TrainingPlan(steps=100))
-    scene, reader = make_scene(config, capture, capture.splits["every-20th"], "cpu")
-    values = chosen.config("default", [f"{name}={value}" for name, value in settings.items()])
-    avatar = chosen.build(values, scene).eval()
-    generator = torch.Generator().manual_seed(3)
-    with torch.no_grad():
-        for name, value in avatar.named_parameters():
-            scale = 0.02 if "last_" in name else 0.1
-            if "field" not in name:
-                value += scale * torch.randn(value.shape, generator=generator)
-        for name, buffer in avatar.named_buffers():
-            if name.endswith("steps_done"):
-                buffer.fill_(steps_done)
-    return avatar, reader
 
 
 def assert_same(found: Gaussians, expected: Gaussians) -> None:
