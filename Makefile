@@ -29,6 +29,7 @@ demo: $(VENV)/installed
 		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) --resume -o $(CAPTURE)
 	@$(BIN)/ggavatar-train $(CAPTURE) $(DEMO_METHOD) --steps $(DEMO_STEPS) $$(test -e $(RUN) && echo --resume) -o $(RUN)
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
+	@$(BIN)/ggavatar-export $(RUN) --clip all --overwrite -o $(RUN)/exports/avatar.html
 
 table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))
 	@$(BIN)/ggavatar-sweep $(patsubst %,$(TABLE)/captures/subject-%,$(TABLE_IDS)) --methods $(TABLE_METHODS) \
