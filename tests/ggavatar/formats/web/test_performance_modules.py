@@ -87,22 +87,17 @@ def test_scores_become_drives_within_the_training_range(tmp_path: Path) -> None:
     found = run_modules(script, "drives", folder=tmp_path, values=values)
     raw = np.array([[0.2, 0], [2 - 0.5, 0.25], [0, 0], [0, 0]])
     # soft_clip takes the range from samples and the zone as a share of it: 0.15 of 1, and 0.25 of 0.2.
-    expected = np.stack(
-        [
-            soft_clip(raw[:, :1], np.array([[-0.5], [0.5]]), 0.15)[:, 0],
-            soft_clip(raw[:, 1:], np.array([[0.0], [0.2]]), 0.25)[:, 0],
-        ],
-        axis=1,
-    )
+    first = soft_clip(raw[:, :1], np.array([[-0.5], [0.5]]), 0.15)
+    second = soft_clip(raw[:, 1:], np.array([[0.0], [0.2]]), 0.25)
+    expected = np.concatenate((first, second), axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-7)
 
 
 def test_clips_are_filled_in_evenly_and_stay_rigid(tmp_path: Path) -> None:
-    turns = [
-        rigid(axis_angle_to_matrix(torch.tensor([0.0, angle, 0.0])), torch.tensor([angle, 0.0, 1.0]))
-        for angle in (0.0, 0.8)
-    ]
-    poses = [turn[:3].flatten().tolist() for turn in turns]
+    poses = []
+    for angle in (0.0, 0.8):
+        turn = axis_angle_to_matrix(torch.tensor([0.0, angle, 0.0]))
+        poses.append(rigid(turn, torch.tensor([angle, 0.0, 1.0]))[:3].flatten().tolist())
     plain = {"expression": [[0.0], [1.0]], "joint_rotations": [[0.0] * 3] * 2, "eyelids": [[0.0, 0.0]] * 2}
     plain |= {"translation": [[0.0] * 3] * 2, "intrinsics": [[1.0] * 4] * 2}
     plain |= dict.fromkeys(("head_to_camera", "torso_to_camera", "world_to_camera"), poses)
@@ -142,7 +137,7 @@ def test_a_turned_head_leaves_a_jointed_torso_where_it_was(tmp_path: Path) -> No
     script = """
     const description = { head: { joint_names: ["root", "neck", "cervical"] }, moves_camera: true };
     const one = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0];
-    const drive = { joint_rotations: [0, 0, 0, 0, 0, 0, 0.1, 0.2, 0], head_to_camera: one, world_to_camera: one, torso_to_camera: one };
+    const drive = { joint_rotations: [0, 0, 0, 0, 0, 0, 0.1, 0.2, 0], head_to_camera: one, world_to_camera: one };
     const neck = [0, -0.1, 0];
     const turned = turnedHead(drive, { yaw: 0.3, pitch: 0.1, roll: -0.2 }, description, neck);
     const joint = (d) => rigid(rotation(...d.joint_rotations.slice(6, 9)), 0, 0, 0);
