@@ -87,7 +87,7 @@ def export_web(run: Run, options: WebOptions, path: Path, overwrite: bool, clips
     notes = (
         () if description["controls"]["arkit"] else (f"ARKit's curves have no map to the head {small.head.version}",)
     )
-    return WebExport(path, len(text), len(small.face), len(whole.face), psnr, notes)
+    return WebExport(path, path.stat().st_size, len(small.face), len(whole.face), psnr, notes)
 
 
 def parts_of(run: Run) -> BoundParts:

@@ -6,7 +6,7 @@ const VERSION = 1;
 const ARRAYS = { U8: Uint8Array, U16: Uint16Array, U32: Uint32Array, F32: Float32Array };
 const MAX_BYTES = 64 * 1024 * 1024;
 const MAX_GAUSSIANS = 500000;
-const ZERO_WITHIN = 1e-3; // steps: `low` is rounded to float32, so an exact zero may come out as a rest of a rounding
+const ZERO_WITHIN = 1e-2; // steps: `low` is rounded to float32, so an exact zero may come out as the rest of a rounding
 
 export class Damaged extends Error {}
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 
-from ggavatar.core import Camera, Drive, Gaussians
+from ggavatar.core import Camera, Drive, Frame, Gaussians, Rendering
 from ggavatar.formats.web.pruning import kept_rows, visible_weights
 from ggavatar.render.reference import rasterize
 
@@ -19,13 +17,22 @@ class Three:
         quats, scales = torch.tensor([[1.0, 0, 0, 0]]).repeat(3, 1), torch.tensor([[0.5] * 3, [0.02] * 3, [0.1] * 3])
         return Gaussians(means, quats, scales, torch.full((3,), 0.99), torch.rand(3, 4, 3), 1)
 
+    def losses(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, torch.Tensor]:
+        return {}
+
+    def optimizers(self) -> list[torch.optim.Optimizer]:
+        return []
+
+    def after_backward(self, rendering: Rendering, step: int) -> None:
+        pass
+
 
 def test_weights_are_sums_of_alpha_times_transmittance() -> None:
     size = 33
     intrinsics = torch.tensor([[30.0, 0, size / 2], [0, 30.0, size / 2], [0, 0, 1]])
     camera = Camera(intrinsics, torch.eye(4), size, size)
     drive = Drive(torch.zeros(0), torch.zeros(0, 3), torch.zeros(2), torch.zeros(3), torch.eye(4))
-    avatar: Any = Three()
+    avatar = Three()
     found = visible_weights(avatar, rasterize, [(drive, camera), (drive, camera)])
     drawn = rasterize(avatar.gaussians(drive), camera, torch.zeros(3))
     torch.testing.assert_close(found.sum(), drawn.alpha.sum(), rtol=1e-5, atol=1e-4)
