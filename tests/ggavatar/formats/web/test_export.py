@@ -141,7 +141,8 @@ def test_an_avatar_that_is_too_large_is_refused(run: Run, tmp_path: Path, monkey
     "options",
     [
         {"prune": -0.1}, {"prune": 0.5}, {"prune": float("nan")}, {"rank": 0}, {"clip": "tests"},
-        {"embed": "https://example.org/path"}, {"embed": "*"}, {"embed": "https://a.org' onload="}, {"embed": ""}, {"embed": "example.org"},
+        {"embed": "https://example.org/path"}, {"embed": "*"}, {"embed": "https://a.org' onload="}, {"embed": ""},
+        {"embed": "example.org"},
     ],
 )  # fmt: skip
 def test_options_that_cannot_be_are_refused(options: dict[str, Any]) -> None:
