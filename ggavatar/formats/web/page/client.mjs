@@ -19,6 +19,7 @@ export class Client {
 
   // Calls `onAnswer` with every answer and the view that it was asked for, and `onError` with a sentence.
   listen(onAnswer, onError) {
+    this.worker.onerror = (event) => onError(`The page's worker stopped (${event.message}). Load the page again.`);
     this.worker.onmessage = ({ data }) => {
       const { view } = this.current;
       this.busy = false;

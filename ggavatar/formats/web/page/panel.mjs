@@ -35,6 +35,7 @@ export class Panel {
     const row = element("label", { className: "row" });
     const input = element("input", { type: "range", min: low, max: high, step: (high - low) / STEPS, value: 0 });
     const output = element("output", {});
+    input.setAttribute("aria-label", label); // else its value, which stands in the same label, would be part of its name
     const show = () => {
       const value = Number(input.value);
       output.textContent = unit === "rad" ? `${Math.round(value * DEGREES)}°` : value.toFixed(2);
