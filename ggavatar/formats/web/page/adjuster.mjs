@@ -1,9 +1,9 @@
 // The Geometry Morph Adjuster (GGAvatar Eq. 9-11): rows W f of every Gaussian, with W = A h + c contracted with f first.
 import { rotation } from "./algebra.mjs";
+import { RIGID } from "./container.mjs";
 
 const LEAST_HALF_RANGE = 1e-4; // of a feature of the head pose, as ggavatar/head/head_pose.py
 const BLOCK = 8; // columns of the hidden layer that the product takes at a time; the rest of the last block is zero
-const RIGID = new Set(["root", "neck"]); // joints that are not part of the condition
 
 export class Adjuster {
   constructor(tensors, description) {

@@ -8,6 +8,8 @@ const MAX_BYTES = 64 * 1024 * 1024;
 const MAX_GAUSSIANS = 500000;
 const ZERO_WITHIN = 1e-2; // steps: `low` is rounded to float32, so an exact zero may come out as the rest of a rounding
 
+export const RIGID = new Set(["root", "neck"]); // joints that are not part of the adjuster's condition
+
 export class Damaged extends Error {}
 
 function demand(condition, what) {
@@ -83,6 +85,18 @@ export function numbers(name, shape, values, low, step) {
   return out;
 }
 
+// Every layer takes what the one before gives: first the condition, at last the latent vector.
+function checkLayers(tensors, { layers, latent }, inputs) {
+  demand(Number.isInteger(layers) && layers > 0 && layers < 100, "layers");
+  let width = inputs;
+  for (let index = 0; index < layers; index++) {
+    const [weight, bias] = ["weight", "bias"].map((name) => tensors[`adjuster.latent.${index}.${name}`]);
+    demand(weight && bias && weight.shape[1] === width && weight.shape[0] === bias.data.length, `layer ${index}`);
+    width = bias.data.length;
+  }
+  demand(width === latent, "latent vector");
+}
+
 function checkShapes(tensors, { head, gaussians, sh_degree: degree, adjuster, clips }) {
   demand(Number.isInteger(gaussians) && gaussians > 0 && gaussians <= MAX_GAUSSIANS, "number of Gaussians");
   const { vertices: V, triangles: F, expressions: E, pose_correctives: P, joint_names: joints } = head;
@@ -98,6 +112,7 @@ function checkShapes(tensors, { head, gaussians, sh_degree: degree, adjuster, cl
     expected["adjuster.hidden"] = [gaussians, adjuster.rank];
     expected["adjuster.last_weight"] = [adjuster.rows * adjuster.latent, adjuster.rank];
     expected["adjuster.last_bias"] = [adjuster.rows, adjuster.latent];
+    checkLayers(tensors, adjuster, E + 6 * joints.filter((name) => !RIGID.has(name)).length + 2 + 9 * adjuster.sees_pose);
   }
   clips.forEach(({ frames }, index) => {
     const widths = { expression: E, joint_rotations: 3 * J, eyelids: 2, translation: 3, head_to_camera: 12 };

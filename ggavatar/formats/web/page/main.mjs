@@ -11,7 +11,7 @@ import { NoWebGL, Renderer } from "./renderer.mjs";
 import { Stage } from "./stage.mjs";
 
 const SHADERS = ["splat.vert.glsl", "splat.frag.glsl", "whole.vert.glsl", "show.frag.glsl"];
-const LONGEST_STEP = 0.25; // s of play-back between two pictures, however long they took
+const LONGEST_STEP = 1; // s of play-back between two pictures, however long they took
 
 const at = (id) => document.getElementById(id);
 const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -43,7 +43,7 @@ function asked() {
 class App {
   constructor(opened, client, wanted) {
     const { description, clips, joints } = opened;
-    Object.assign(this, { description, player: new Player({ loops: !reducedMotion }), lastTime: 0 });
+    Object.assign(this, { description, player: new Player({ loops: !reducedMotion }), lastTime: 0, owed: 0 });
     const neck = Math.max(description.head.joint_names.indexOf("neck"), 0);
     this.orbit = new Orbit(description.controls.view, description.rest.center);
     const shaders = Object.fromEntries(SHADERS.map((name) => [name, at(name).textContent]));
@@ -206,11 +206,12 @@ class App {
   tick(time) {
     const seconds = Math.min((time - this.lastTime) / 1000, LONGEST_STEP);
     this.lastTime = time;
+    this.owed = this.player.playing ? Math.min(this.owed + seconds, LONGEST_STEP) : 0;
     if (this.stage.idle && this.player.playing) {
-      if (this.player.advance(seconds + (this.owed || 0))) this.showPlayer();
+      if (this.player.advance(this.owed)) this.showPlayer();
       if (!this.player.playing) this.pause();
       this.owed = 0;
-    } else if (this.player.playing) this.owed = Math.min((this.owed || 0) + seconds, 4 * LONGEST_STEP);
+    }
     this.stage.tick(time);
     requestAnimationFrame((next) => this.tick(next));
   }
