@@ -8,16 +8,31 @@ const MAX_BYTES = 64 * 1024 * 1024;
 const MAX_GAUSSIANS = 500000;
 const ZERO_WITHIN = 1e-2; // steps: `low` is rounded to float32, so an exact zero may come out as the rest of a rounding
 
+const INDICES = new Set(["faces", "face"]);
+
 export const RIGID = new Set(["root", "neck"]); // joints that are not part of the adjuster's condition
 
 export class Damaged extends Error {}
 
+function damaged(what) {
+  return new Damaged(`The avatar in this page is damaged (${what}). Save the page again.`);
+}
+
 function demand(condition, what) {
-  if (!condition) throw new Damaged(`The avatar in this page is damaged (${what}). Save the page again.`);
+  if (!condition) throw damaged(what);
 }
 
 // Description and tensors of a file; a tensor is {shape, data}, and quantized ones are numbers again.
 export function unpack(buffer) {
+  try {
+    return opened(buffer);
+  } catch (error) {
+    if (error instanceof Damaged) throw error;
+    throw damaged("description"); // a part of it is missing or of another kind, so that reading it has failed
+  }
+}
+
+function opened(buffer) {
   demand(buffer.byteLength > 8 && buffer.byteLength <= MAX_BYTES + 1048576, "size");
   const size = Number(new DataView(buffer).getBigUint64(0, true));
   demand(size > 2 && 8 + size <= buffer.byteLength, "header");
@@ -36,13 +51,9 @@ export function unpack(buffer) {
 }
 
 function parsed(text) {
-  try {
-    const value = JSON.parse(text);
-    demand(value !== null && typeof value === "object", "header");
-    return value;
-  } catch (error) {
-    throw error instanceof Damaged ? error : new Damaged("The avatar in this page is damaged (header). Save it again.");
-  }
+  const value = JSON.parse(text);
+  demand(value !== null && typeof value === "object", "header");
+  return value;
 }
 
 function tensorOf(buffer, start, name, { dtype, shape, data_offsets: offsets }) {
@@ -63,7 +74,8 @@ function dequantized(stored) {
     if (name.endsWith(".low") || name.endsWith(".step")) continue;
     const low = stored[`${name}.low`];
     const step = stored[`${name}.step`];
-    tensors[name] = low && step ? { shape, data: numbers(name, shape, data, low, step) } : { shape, data };
+    demand(Boolean(low) === Boolean(step), name);
+    tensors[name] = low ? { shape, data: numbers(name, shape, data, low, step) } : { shape, data };
   }
   return tensors;
 }
@@ -72,7 +84,7 @@ function dequantized(stored) {
 export function numbers(name, shape, values, low, step) {
   const [rows, columns] = shape;
   const byColumn = low.shape[0] === 1 && low.shape[1] === columns;
-  demand(shape.length === 2 && low.data.length === step.data.length, name);
+  demand(shape.length === 2 && String(low.shape) === String(step.shape), name);
   demand(byColumn || (low.shape[0] === rows && low.shape[1] === 1), name);
   const out = new Float32Array(values.length);
   for (let row = 0, i = 0; row < rows; row++) {
@@ -121,6 +133,7 @@ function checkShapes(tensors, { head, gaussians, sh_degree: degree, adjuster, cl
   });
   for (const [name, shape] of Object.entries(expected)) {
     demand(tensors[name] && String(tensors[name].shape) === String(shape), name);
+    demand(INDICES.has(name) !== tensors[name].data instanceof Float32Array, name);
   }
   demand(tensors.faces.data.every((vertex) => vertex < V), "faces");
   demand(tensors.face.data.every((face) => face < F), "face");

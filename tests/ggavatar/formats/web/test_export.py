@@ -35,7 +35,7 @@ from ggavatar.gaussians.bound_parts import posed
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.training.run_folder import Run
-from tests.support.page_modules import carried_bytes
+from tests.support.page_modules import carried_bytes, run_modules
 from tests.support.untrained_avatars import random_drives, run_of, untrained, with_everything
 
 
@@ -76,6 +76,55 @@ def test_the_file_holds_the_avatar_and_says_what_it_is(run: Run, page: Path) -> 
     assert description["head"]["joint_names"] == list(run.avatar.avatar.head.joint_names)
     text = page.read_text()
     assert str(run.folder) not in text and "noindex" in text, "nothing of this machine is in it"
+
+
+def test_the_page_refuses_damaged_files_in_words(page: Path, tmp_path: Path) -> None:
+    """Structured faults and a thousand random bytes: every refusal is a sentence, none a failure of the code."""
+    (tmp_path / "avatar.bin").write_bytes(gzip.decompress(carried_bytes(page)))
+    script = """
+    const whole = new Uint8Array(fs.readFileSync(values.path));
+    const size = Number(new DataView(whole.buffer).getBigUint64(0, true));
+    const text = new TextDecoder().decode(whole.subarray(8, 8 + size));
+    const refusal = (bytes) => {
+      try { unpack(bytes.buffer); return null; } catch (e) { return e instanceof Damaged ? e.message : `FAILURE ${e.stack}`; }
+    };
+    const withHeader = (change) => {
+      const header = JSON.parse(text);
+      const description = JSON.parse(header.__metadata__.avatar);
+      change(header, description);
+      if (header.__metadata__) header.__metadata__.avatar = JSON.stringify(description);
+      const encoded = new TextEncoder().encode(JSON.stringify(header));
+      const bytes = new Uint8Array(8 + encoded.length + whole.length - 8 - size);
+      new DataView(bytes.buffer).setBigUint64(0, BigInt(encoded.length), true);
+      bytes.set(encoded, 8);
+      bytes.set(whole.subarray(8 + size), 8 + encoded.length);
+      return refusal(bytes);
+    };
+    const faults = [
+      (h) => delete h.means, (h) => delete h["means.low"], (h) => { delete h["means.low"]; delete h["means.step"]; },
+      (h) => delete h.__metadata__, (h, d) => { d.schema = "x"; },
+      (h, d) => { d.version = 2; }, (h) => { h.means.dtype = "F64"; }, (h) => { h.means.data_offsets = [0, 1e9]; },
+      (h) => { h.means.data_offsets = [5, 1]; }, (h) => { h.means.shape = [3]; }, (h) => { h.means.shape = "x"; },
+      (h, d) => { d.gaussians = 1e9; }, (h, d) => { d.gaussians = "5"; }, (h, d) => { d.head.triangles = 5; },
+      (h, d) => { d.adjuster.rank = 3; }, (h, d) => { d.adjuster.layers = 2; }, (h, d) => { d.clips[0].frames.pop(); },
+      (h, d) => { d.head.joint_names.pop(); }, (h, d) => { d.sh_degree = 2; }, (h) => { h["means.step"].shape = [3, 1]; },
+      (h) => { h.face = { ...h.faces, shape: h.face.shape }; }, (h, d) => { delete d.head; }, (h, d) => { d.clips = null; },
+    ];
+    const random = [];
+    for (let i = 0, seed = 1; i < 1000; i++) {
+      seed = (seed * 48271) % 2147483647;
+      const bytes = whole.slice(0, i % 5 ? whole.length : seed % whole.length);
+      if (i % 5) bytes[i % 2 ? seed % (8 + size) : seed % bytes.length] ^= 1 << (i % 8);
+      const found = refusal(bytes);
+      if (found) random.push(found);
+    }
+    return { untouched: refusal(whole), same: withHeader(() => {}), faults: faults.map(withHeader), random };
+    """
+    values = {"path": str(tmp_path / "avatar.bin")}
+    found = run_modules(script, "container", folder=tmp_path, values=values)
+    assert found["untouched"] is None and found["same"] is None
+    assert all(isinstance(text, str) and text.startswith("Th") for text in found["faults"]), found["faults"]
+    assert len(found["random"]) > 400 and all(text.startswith("Th") for text in found["random"])
 
 
 def test_equal_exports_are_equal_bytes(run: Run, page: Path, tmp_path: Path) -> None:
