@@ -86,7 +86,8 @@ def test_the_page_refuses_damaged_files_in_words(page: Path, tmp_path: Path) -> 
     const size = Number(new DataView(whole.buffer).getBigUint64(0, true));
     const text = new TextDecoder().decode(whole.subarray(8, 8 + size));
     const refusal = (bytes) => {
-      try { unpack(bytes.buffer); return null; } catch (e) { return e instanceof Damaged ? e.message : `FAILURE ${e.stack}`; }
+      try { unpack(bytes.buffer); } catch (e) { return e instanceof Damaged ? e.message : `FAILURE ${e.stack}`; }
+      return null;
     };
     const withHeader = (change) => {
       const header = JSON.parse(text);
