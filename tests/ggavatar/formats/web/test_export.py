@@ -108,8 +108,9 @@ def test_the_page_refuses_damaged_files_in_words(page: Path, tmp_path: Path) -> 
       (h) => { h.means.data_offsets = [5, 1]; }, (h) => { h.means.shape = [3]; }, (h) => { h.means.shape = "x"; },
       (h, d) => { d.gaussians = 1e9; }, (h, d) => { d.gaussians = "5"; }, (h, d) => { d.head.triangles = 5; },
       (h, d) => { d.adjuster.rank = 3; }, (h, d) => { d.adjuster.layers = 2; }, (h, d) => { d.clips[0].frames.pop(); },
-      (h, d) => { d.head.joint_names.pop(); }, (h, d) => { d.sh_degree = 2; }, (h) => { h["means.step"].shape = [3, 1]; },
-      (h) => { h.face = { ...h.faces, shape: h.face.shape }; }, (h, d) => { delete d.head; }, (h, d) => { d.clips = null; },
+      (h, d) => { d.head.joint_names.pop(); }, (h, d) => { d.sh_degree = 2; },
+      (h) => { h["means.step"].shape = [3, 1]; }, (h, d) => { delete d.head; }, (h, d) => { d.clips = null; },
+      (h) => { h.face = { ...h.faces, shape: h.face.shape }; },
     ];
     const random = [];
     for (let i = 0, seed = 1; i < 1000; i++) {
