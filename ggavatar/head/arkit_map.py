@@ -27,12 +27,12 @@ class Target(NamedTuple):
 
     Attributes:
         part: Field of `ggavatar.core.Drive`.
-        index: Position in the field, flattened.
+        place: Position in the field, flattened.
         factor: In the field's unit.
     """
 
     part: Part
-    index: int
+    place: int
     factor: float
 
 
@@ -116,12 +116,14 @@ def _joints_and_lids(head: HeadModel, closing: bool) -> dict[str, tuple[Target, 
         wanted[f"eyeLookUp{suffix}"] = (eye, 0, -GAZE_UP_DOWN)
         wanted[f"eyeLookOut{suffix}"] = (eye, 1, outwards * GAZE_SIDEWAYS)
         wanted[f"eyeLookIn{suffix}"] = (eye, 1, -outwards * GAZE_SIDEWAYS)
-    joints = {
+    joints: dict[str, tuple[Target, ...]] = {
         arkit: (joint_target(head, joint, axis, factor),)
         for arkit, (joint, axis, factor) in wanted.items()
         if joint in head.joint_names
     }
-    lids = {f"eyeBlink{suffix}": (Target("eyelids", lid, 1.0),) for suffix, _, lid, _ in SIDES}
+    lids: dict[str, tuple[Target, ...]] = {
+        f"eyeBlink{suffix}": (Target("eyelids", lid, 1.0),) for suffix, _, lid, _ in SIDES
+    }
     return joints | (lids if bool(head.eyelid_basis.any()) else {})
 
 

@@ -93,12 +93,17 @@ def rounded(parts: BoundParts, tensors: Tensors) -> BoundParts:
         return torch.from_numpy(array).to(parts.means)
 
     head, adjuster = parts.head, parts.adjuster
-    bases = {
-        name: read(name).view(-1, len(head.template), 3).permute(1, 2, 0)
-        for name in ("expression_basis", "eyelid_basis")
-    }
+
+    def basis(name: str) -> Tensor:
+        return read(name).view(-1, len(head.template), 3).permute(1, 2, 0)
+
     small_head = dataclasses.replace(
-        head, template=read("template"), skinning_weights=read("skinning_weights"), **bases
+        head,
+        template=read("template"),
+        skinning_weights=read("skinning_weights"),
+        expression_basis=basis("expression_basis"),
+        eyelid_basis=basis("eyelid_basis"),
+        pose_basis=basis("pose_basis"),
     )
     return dataclasses.replace(
         parts,

@@ -32,8 +32,8 @@ def moved(head: HeadModel, name: str) -> torch.Tensor:
     """Displacement of all vertices at a score of 1, m."""
     neutral = head.neutral_drive()
     values = {part: getattr(neutral, part).clone() for part in ("expression", "joint_rotations", "eyelids")}
-    for part, index, factor in arkit_map(head)[name]:
-        values[part].view(-1)[index] += factor
+    for part, place, factor in arkit_map(head)[name]:
+        values[part].view(-1)[place] += factor
     drive: Drive = dataclasses.replace(neutral, **values)
     return head.vertices(drive) - head.template
 
@@ -60,8 +60,8 @@ def test_other_families(head: HeadModel) -> None:
     assert tracked["mouthClose"] == (Target("expression", TRACKED_AXES.index("mouthClose"), 1.0),)
     ict = arkit_map(with_axes(head, "ict-facekit-1", 53))
     assert set(ARKIT_NAMES) - set(ict) == {"tongueOut"}
-    assert [EXPRESSIONS[target.index] for target in ict["browInnerUp"]] == ["browInnerUp_L", "browInnerUp_R"]
-    assert [EXPRESSIONS[target.index] for target in ict["mouthLeft"]] == ["mouthLeft"]
+    assert [EXPRESSIONS[target.place] for target in ict["browInnerUp"]] == ["browInnerUp_L", "browInnerUp_R"]
+    assert [EXPRESSIONS[target.place] for target in ict["mouthLeft"]] == ["mouthLeft"]
     assert arkit_map(with_axes(head, "flame2020", 50)) == {}
 
 

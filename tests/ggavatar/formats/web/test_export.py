@@ -235,7 +235,7 @@ def test_ranges_are_those_of_the_training(run: Run) -> None:
     width = np.ptp(values, axis=0)
     np.testing.assert_allclose(zone, BEYOND * np.maximum(width, np.median(width)), atol=1e-6)
     named = {slider.label: slider for slider in sliders(head, drives)}
-    assert [target.index for target in named["gaze sideways"].targets] == [10, 13]
+    assert [target.place for target in named["gaze sideways"].targets] == [10, 13]
     assert "left lid" not in named, "the egg has no lids"
     assert named["expression 1"].high >= np.quantile(values[:, 0], 0.99) - 1e-3
 
