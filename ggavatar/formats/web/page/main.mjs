@@ -236,11 +236,8 @@ function introduce({ title, method, gaussians, head, created_by: by, camera }) {
   at("about").textContent =
     `${gaussians.toLocaleString("en")} Gaussians on the head ${head.version}, method ${method}, ${by.step} steps; ` +
     `written by GGAvatar ${by.ggavatar}. The page loads nothing and sends nothing.`;
-  at("picture").style.aspectRatio = `${camera.width} / ${camera.height}`;
-  at("picture").style.height = `${Math.min(LARGEST_SHOWN, camera.height * 4)}px`;
+  at("picture").style.setProperty("--aspect", camera.width / camera.height);
 }
-
-const LARGEST_SHOWN = 1200; // px
 
 async function start() {
   const began = performance.now();
