@@ -73,9 +73,9 @@ def page(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def shown(browser: str, page: Path, folder: Path, query: str = "", wait: float = 200.0) -> Iterator[Page]:
+def shown(browser: str, page: Path, folder: Path, address: str = "", wait: float = 200.0) -> Iterator[Page]:
     """The page, once it has said something."""
-    with opened(browser, page, folder, query) as view:
+    with opened(browser, page, folder, address) as view:
         end = time.monotonic() + wait
         while (text := status(view)).startswith(LOADING) and time.monotonic() < end:
             time.sleep(0.05)
@@ -87,11 +87,9 @@ def status(view: Page) -> str:
     return str(view.value("document.getElementById('status').textContent"))
 
 
-def test_query(**more: object) -> str:
+def query(**more: object) -> str:
     return "?test&" + "&".join(f"{key}={value}" for key, value in {"width": SIDE, "height": SIDE, **more}.items())
 
-
-test_query.__test__ = False  # type: ignore[attr-defined]
 
 SETTLED = """
 const settled = async () => {
@@ -122,7 +120,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def test_it_draws_what_the_rasterizer_draws_without_network(run: Run, page: Path, browser: str, tmp_path: Path) -> None:
-    with shown(browser, page, tmp_path / "a", test_query()) as view:
+    with shown(browser, page, tmp_path / "a", query()) as view:
         pictures = [picture(view, f"ggavatar.seek({index})") for index in (0, 2)]
         assert view.messages() == [] or all("ReadPixels" in text for text in view.messages())
         assert {re.split("[?:]", address)[0] for address in view.requests()} == {"file", "blob"}
@@ -135,7 +133,7 @@ def test_it_draws_what_the_rasterizer_draws_without_network(run: Run, page: Path
 
 
 def test_eight_bit_targets_are_close(run: Run, page: Path, browser: str, tmp_path: Path) -> None:
-    with shown(browser, page, tmp_path / "a", test_query(target="byte")) as view:
+    with shown(browser, page, tmp_path / "a", query(target="byte")) as view:
         assert psnr(picture(view, "ggavatar.seek(1)"), expected(run, run.split.test[1])) > 38
 
 
@@ -151,7 +149,7 @@ def live_link(path: Path) -> Path:
 
 
 def test_controls_change_the_picture(page: Path, browser: str, tmp_path: Path) -> None:
-    with shown(browser, page, tmp_path / "a", test_query()) as view:
+    with shown(browser, page, tmp_path / "a", query()) as view:
         start = picture(view, "ggavatar.seek(0)")
         label = "[...document.querySelectorAll('#sliders label')].find(l => l.textContent.startsWith('jaw open'))"
         view.value(f"{label}.querySelector('input').focus()")
@@ -238,5 +236,8 @@ def test_a_phone_shows_all_of_it(page: Path, browser: str, tmp_path: Path) -> No
         view.resize(390, 800, "dark")
         wide = view.value("document.documentElement.scrollWidth")
         assert wide == 390, "nothing is cut off at the side"
+        view.screenshot(tmp_path / "phone.png")
+        with Image.open(tmp_path / "phone.png") as seen:
+            assert seen.size == (390, 800)
         dark: Any = view.value("getComputedStyle(document.body).backgroundColor")
         assert dark == "rgb(22, 23, 26)"
