@@ -24,7 +24,7 @@ RIDGE = 1e-9
 def reduced(parts: AdjusterParts, latents: Float[Tensor, "T L"], rank: int) -> AdjusterParts:
     """The adjuster with `rank` hidden columns, the closest in the offsets that the latent vectors of T frames give.
 
-    With G = mean M Mᵀ over frames, M = A f weighted by cost and G = L Lᵀ, the error of h ≈ h̄ + z P is
+    Let G = mean Mᵀ M over frames, M = A f weighted by cost, and G = L Lᵀ. The error of h ≈ h̄ + z P is then
     |(h − h̄ − z P) L|; the SVD of (h − h̄) L makes it least (Eckart and Young). A hidden layer that is no wider is
     returned unchanged.
     """

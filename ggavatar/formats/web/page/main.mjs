@@ -163,8 +163,11 @@ class App {
       const { fps, frames, known } = readCurves(await file.text(), Object.keys(arkit));
       const drive = (position) => {
         const [before, after] = [Math.floor(position), Math.ceil(position)];
-        const scores = Object.entries(frames[before]).map(([name, score]) => [name, score + (position - before) * (frames[after][name] - score)]);
-        return arkitDrive(this.description, Object.fromEntries(scores));
+        const scores = {};
+        for (const [name, score] of Object.entries(frames[before])) {
+          scores[name] = score + (position - before) * (frames[after][name] - score);
+        }
+        return arkitDrive(this.description, scores);
       };
       const label = (position) => String(Math.round(position));
       this.performances.push({ name: file.name, fps, length: frames.length, drive, label });
