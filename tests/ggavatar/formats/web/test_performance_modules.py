@@ -53,7 +53,7 @@ def test_recordings_are_read_as_by_our_reader(tmp_path: Path) -> None:
 def test_the_real_recording_is_read(data_folder: Path, tmp_path: Path) -> None:
     path = data_folder / "tracking" / "arkit_expression_973.json"
     [found] = read_in_page(tmp_path, path.read_text())
-    recording = read_arkit_recording(path).resampled(found["fps"])
+    recording = read_arkit_recording(path).resampled(float(found["fps"]))
     values = np.array([[frame.get(name, 0) for name in ARKIT_NAMES] for frame in found["frames"]])
     assert abs(len(values) - len(recording.scores)) <= 1 and len(values) > 900
     count = min(len(values), len(recording.scores))
