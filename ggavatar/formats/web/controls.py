@@ -23,6 +23,8 @@ LEAST_EXPRESSION = (-0.2, 0.5)
 """Sliders of expressions reach at least this far."""
 BEYOND = 0.15
 """How far ARKit's curves may leave the training range, as a fraction of it: that of ggavatar-render --limit."""
+LEAST_ZONE = 1e-6
+"""Zone of numbers that did not move in training; zero would be divided by."""
 VIEW_MARGIN = np.radians(15.0)
 """How far the view may leave the poses seen in training, rad."""
 
@@ -86,7 +88,7 @@ def limits(drives: list[Drive]) -> dict[str, list[list[float]]]:
         seen = _stacked(drives, part)
         low, high = seen.min(axis=0), seen.max(axis=0)
         width = high - low
-        zone = BEYOND * np.maximum(width, np.median(width) if width.size else 0.0) + 1e-9
+        zone = np.maximum(BEYOND * np.maximum(width, np.median(width) if width.size else 0.0), LEAST_ZONE)
         found[part] = [[round(float(value), 6) for value in row] for row in (low, high, zone)]
     return found
 

@@ -39,7 +39,7 @@ export function clipDrive({ frames, arrays }, position) {
 // Inside the training range unchanged; beyond it saturating smoothly, as ggavatar-render --limit does.
 export function softClip(value, low, high, zone) {
   const inside = Math.min(Math.max(value, low), high);
-  return inside + zone * Math.tanh((value - inside) / zone);
+  return zone > 0 ? inside + zone * Math.tanh((value - inside) / zone) : inside;
 }
 
 // What ARKit's scores, by name, make of a resting drive; names that the head does not know change nothing.

@@ -234,6 +234,8 @@ def test_ranges_are_those_of_the_training(run: Run) -> None:
     np.testing.assert_allclose([low, high], [values.min(0), values.max(0)], atol=1e-6)
     width = np.ptp(values, axis=0)
     np.testing.assert_allclose(zone, BEYOND * np.maximum(width, np.median(width)), atol=1e-6)
+    still = limits(drives)["joint_rotations"]
+    assert min(still[2]) > 0 and still[0][0] == still[1][0] == 0, "what never moves has a zone all the same"
     named = {slider.label: slider for slider in sliders(head, drives)}
     assert [target.place for target in named["gaze sideways"].targets] == [10, 13]
     assert "left lid" not in named, "the egg has no lids"

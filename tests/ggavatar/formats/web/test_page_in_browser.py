@@ -84,7 +84,7 @@ def shown(browser: str, page: Path, folder: Path, address: str = "", wait: float
 
 
 def status(view: Page) -> str:
-    return str(view.value("document.getElementById('status').textContent"))
+    return str(view.value("document.getElementById('status')?.textContent ?? 'Loading'"))
 
 
 def query(**more: object) -> str:

@@ -82,7 +82,10 @@ def test_scores_become_drives_within_the_training_range(tmp_path: Path) -> None:
         "rest": {"view": list(range(12))}, "controls": {"arkit": arkit, "limits": limits},
     }  # fmt: skip
     cases = [{"jawOpen": 0.1}, {"jawOpen": 7, "mouthClose": 0.5}, {"mouthClose": -3, "nose": 1}, {}]
-    script = "return values.cases.map((scores) => arkitDrive(values.description, scores).expression);"
+    script = """
+    if (softClip(3, 0, 1, 0) !== 1 || softClip(0, 0, 0, 0) !== 0) throw new Error("a zone of zero is no division");
+    return values.cases.map((scores) => arkitDrive(values.description, scores).expression);
+    """
     values = {"cases": cases, "description": description}
     found = run_modules(script, "drives", folder=tmp_path, values=values)
     raw = np.array([[0.2, 0], [2 - 0.5, 0.25], [0, 0], [0, 0]])
