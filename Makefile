@@ -11,6 +11,7 @@ DEMO_METHOD ?= ggavatar_plus
 DEMO_EVAL ?=
 TEST_FLAGS ?=
 MUTATION_FLAGS ?=
+FAULT_FLAGS ?= --write docs/reliability.md
 TABLE ?= table
 TABLE_IDS ?= 1 2 3 4 5
 TABLE_FRAMES ?= 600
@@ -21,7 +22,7 @@ SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
 
-.PHONY: demo table test mutations lint format bench clean-demo
+.PHONY: demo table test mutations faults lint format bench clean-demo
 
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
@@ -47,6 +48,9 @@ test: $(VENV)/installed-dev
 
 mutations: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutations $(MUTATION_FLAGS)
+
+faults: $(VENV)/installed-dev
+	$(BIN)/python -m tests.faults $(FAULT_FLAGS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

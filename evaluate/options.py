@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +13,7 @@ from ggavatar.cli.version import handle_version_flag
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions
+from ggavatar.text.names import clean_name
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,9 @@ class Options:
     """Output folder of the tables; by default the run's folder, evaluation/ for several runs, PRED-evaluation/ for
     --pred with --gt, PRED-evaluation/eval/PROTOCOL-ID/ for --pred with --capture. The scores of pictures are
     written below it too; without it, beside the pictures in PRED-evaluation/eval/."""
+    reenact: tuple[Path, ...] = ()
+    """Captures whose performances drive the avatars of the runs: how much of each face's expression arrives; measured
+    on the avatars' own test frames too."""
     layout: Literal["auto", "subjects", "ablation"] = "auto"
     """One row per subject (the paper's Table 1) or per method (its Table 2)."""
     with_paper: bool = False
@@ -169,11 +173,20 @@ def parse(arguments: list[str] | None) -> Options:
     """
     handle_version_flag("ggavatar-eval", arguments)
     options = tyro.cli(Options, prog="ggavatar-eval", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    options = _with_clean_names(options)
     _check_sources(options)
     if options.labels and len(options.labels) != len(options.runs):
         found = f"{len(options.labels)} for {len(options.runs)} runs"
         raise InputError(f"expected one label per run in --labels, found {found}; list them in the order of the runs")
     return options
+
+
+def _with_clean_names(options: Options) -> Options:
+    """The options with clean names; those within --pred-as and --paper-subjects are cleaned where these are read."""
+    folders = options.folders
+    subject, method = (name if name is None else clean_name(name) for name in (folders.subject, folders.method))
+    labels = tuple(map(clean_name, options.labels))
+    return replace(options, labels=labels, folders=replace(folders, subject=subject, method=method))
 
 
 def _check_sources(options: Options) -> None:

@@ -17,6 +17,10 @@ class GateError(Exception):
     """A check that the user asked for has failed: a regression gate, or the strict doctor (exit code 3)."""
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM asked the process to end (exit code 143), as Ctrl-C does."""
+
+
 def nearest(name: str, known: Collection[str]) -> str:
     """' (did you mean …?)' with the closest known name, or an empty string if none is close."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)

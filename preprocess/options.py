@@ -46,7 +46,7 @@ class PrepOptions:
     """
 
     masks: str = "auto"
-    """Foreground masks: a folder of images, an RVM network (.onnx, .torchscript), selfie, grabcut, or auto.
+    """Foreground masks: a folder of images, rvm (or a file of it, .onnx), selfie, grabcut, or auto.
 
     Auto takes the alpha channel of the video if it has one, else selfie.
     """

@@ -23,7 +23,7 @@ PACKAGES = ("ggavatar", "preprocess", "evaluate")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 NAMES = [str(path.relative_to(ROOT)) for path in SOURCES]
 ROOMS = sorted({path.parent for path in SOURCES} - {ROOT / package for package in PACKAGES})
-UNPICKLER = "ggavatar/io/restricted_pickle.py"
+UNPICKLER = "ggavatar/io/restricted_unpickler.py"
 
 
 def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:

@@ -20,20 +20,28 @@ from evaluate.metrics.catalogue import metric_of, title_of
 from evaluate.options import Options, parse
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
-from evaluate.protocols.results import METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
 from evaluate.protocols.setup import Setup
 from evaluate.scoring.accumulator import flat_notes
-from evaluate.scoring.frame_pairs import pair_folders
+from evaluate.scoring.frame_pairs import pair_folders, region_names
 from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
 from evaluate.tables.format_terminal import show
 from evaluate.tables.paper_aligned import parse_paper_subjects
+from evaluate.tables.table import Table
 from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
+from ggavatar.io.atomic import remove_partial_files
+from ggavatar.io.folder_lock import lock_folder, lock_output
+from ggavatar.io.held_folders import hold_folder
 from ggavatar.pretrained.resolve import ModelFinder
+from ggavatar.text.names import clean_name
+from ggavatar.text.terminal import write_err, write_out
 
+TABLES = "table"
+"""What tables and figures are locked as in their folder; a run may be trained meanwhile, under a lock of its own."""
 WIDTH = 160
 """Width of a table that is not printed on a terminal, characters."""
 
@@ -44,6 +52,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _evaluate(options: Options) -> int:
+    """Evaluate; a run that is removed meanwhile does not come back as a folder with nothing but tables in it."""
+    with ExitStack() as held:
+        for run in (path for path in options.runs if path.is_dir()):
+            held.enter_context(hold_folder(run))
+        return _evaluate_all(options)
+
+
+def _evaluate_all(options: Options) -> int:
     """Score the given runs or folders, write and print tables and figures, then check the gates."""
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = read_limits(options.gates)
@@ -53,13 +69,12 @@ def _evaluate(options: Options) -> int:
     _warn_of_flat(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options, evaluated)
-    written += write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
-    if not options.no_report:
-        written += _write_figures(options, evaluated, folder)
+    written += _write_tables(options, evaluated, tables, folder)
     if options.table:
         console.print()
         for table in (table for table in tables if table.name not in ("detail", "sources")):
             show(table, console)
+    written += _reenact(options, folder, console)
     checks = limits.checks(evaluations)
     if options.gates.junit:
         write_junit(options.gates.junit, checks)
@@ -69,12 +84,34 @@ def _evaluate(options: Options) -> int:
         written.append(options.gates.write_baseline)
     if not options.quiet:
         for one in evaluations:
-            console.print(headline(one), markup=False, highlight=False)
+            write_out(headline(one))
         for check in checks if not options.gates.github else ():
-            console.print(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}", markup=False)
-        for path in written:
-            console.print(f"wrote {path}", markup=False, highlight=False)
+            write_out(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}")
+        write_out(*(f"wrote {path}" for path in written))
     return _finish(options, evaluations, written, checks)
+
+
+def _reenact(options: Options, folder: Path, console: Console) -> list[Path]:
+    """Drive the runs by the captures of --reenact, print what arrives, and return the files written."""
+    if not options.reenact:
+        return []
+    from evaluate.reenactment.pairs import measure_pairs
+    from evaluate.reenactment.table import reenactment_table, write_reenactments
+
+    found = measure_pairs(options, lambda title: show_progress(title, options.quiet))
+    if options.table or not options.quiet:
+        console.print()
+        show(reenactment_table(found), console)
+    return write_reenactments(found, folder)
+
+
+def _write_tables(options: Options, evaluated: list[Evaluated], tables: list[Table], folder: Path) -> list[Path]:
+    """Write tables, the results behind them, and figures."""
+    with lock_output(folder / TABLES):
+        for name in (TABLES, "comparison", "report", METRICS_FILE, FRAMES_FILE):
+            remove_partial_files(folder, begin=name)
+        written = write_tables(tables, folder, _result_files(evaluated, bool(options.labels), folder))
+        return written if options.no_report else written + _write_figures(options, evaluated, folder)
 
 
 def _check_paper_subjects(options: Options) -> None:
@@ -89,7 +126,7 @@ def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
     """One line on stderr for every evaluation with predictions of one color, even with --quiet."""
     for one in evaluations:
         for note in flat_notes(one):
-            sys.stderr.write(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}\n")
+            write_err(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}")
 
 
 def _result_files(evaluated: Sequence[Evaluated], labels: bool, folder: Path) -> list[Path]:
@@ -140,7 +177,7 @@ class ConsoleReporter:
 
     def warn(self, text: str) -> None:
         """One line on stderr, even with --quiet."""
-        sys.stderr.write(f"warning: {text}\n")
+        write_err(f"warning: {text}")
 
 
 def _collect(options: Options) -> tuple[list[Evaluated], list[Path]]:
@@ -150,7 +187,8 @@ def _collect(options: Options) -> tuple[list[Evaluated], list[Path]]:
             evaluation = score_folders(options, progress)
         folder = _table_folder(options)
         images = options.folders.pred, options.folders.gt
-        return [Evaluated(evaluation, folder / METRICS_FILE, images)], write_results(evaluation, folder)
+        with lock_output(folder / TABLES):
+            return [Evaluated(evaluation, folder / METRICS_FILE, images)], write_results(evaluation, folder)
     found: list[Evaluated] = []
     written: list[Path] = []
     for path in options.runs:
@@ -203,7 +241,10 @@ def score_folders(options: Options, progress: Callable[[int, int], None] | None 
         raise InputError("expected --pred and --gt")
     protocol = folder_protocol(options)
     pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
-    names = folders.subject or folders.gt.resolve().parent.name, folders.method or folders.pred.resolve().name
+    names = (
+        folders.subject or clean_name(folders.gt.resolve().parent.name),
+        folders.method or clean_name(folders.pred.resolve().name),
+    )
     provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
     labels = Labels(*names, seed=folders.seed, provenance=provenance, setup=Setup("elsewhere"))
     models = ModelFinder(options.models, options.offline)
@@ -221,8 +262,8 @@ def folder_protocol(options: Options) -> Protocol:
     if options.override.regions is not None:
         return protocol
     known: tuple[str, ...] = ("foreground", "boundary") if folders.masks else ()
-    if folders.region_masks and folders.region_masks.is_dir():
-        known += tuple(sorted(path.name for path in folders.region_masks.iterdir() if path.is_dir()))
+    if folders.region_masks:
+        known += tuple(region_names(folders.region_masks))
     return protocol.override(regions=known)
 
 
@@ -238,12 +279,20 @@ def _write_figures(options: Options, evaluated: Sequence[Evaluated], folder: Pat
         if one.images is not None:
             images = EvaluationImages(one.evaluation, *one.images)
         if images.predictions.is_dir() and images.truth.is_dir():
-            found.append((home, images))
+            found.append((one, images))
     written: list[Path] = []
-    for home, images in found:
-        with show_progress("drawing", options.quiet) as progress:
+    for one, images in found:
+        home = one.results.parent
+        with lock_folder(home), show_progress("drawing", options.quiet) as progress:
+            _require_current(one)
             written += write_figures(images, home, progress)
     return written + write_comparisons([images for _, images in found], folder)
+
+
+def _require_current(one: Evaluated) -> None:
+    """Raise `InputError` if another command has scored other images in the same folder since this one did."""
+    if read_results(one.results).hashes != one.evaluation.hashes:
+        raise InputError(f"{one.results.parent}: another command has scored it again meanwhile; run this one again")
 
 
 def _table_folder(options: Options, evaluated: Sequence[Evaluated] = ()) -> Path:
@@ -266,7 +315,7 @@ def headline(evaluation: Evaluation) -> str:
     for name in evaluation.protocol.table_metrics:
         mean, metric = evaluation.summary(name).mean, metric_of(name)
         means.append(f"{title_of(name)} {'–' if mean is None else f'{mean:.{metric.digits}f}'}")
-    label = " ".join(f"{evaluation.subject} · {display_name(evaluation.method)}".split())
+    label = f"{evaluation.subject} · {display_name(evaluation.method)}"
     return f"scored {label} ({evaluation.setup.describe()}), {evaluation.protocol.id}: {', '.join(means)}"
 
 

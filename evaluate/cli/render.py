@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import sys
-
 import tyro
 
 from evaluate.rendering.options import Options, check
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
+from ggavatar.text.terminal import write_out
 
 
 def main() -> int:
     """Run the command; the exit code is 0 done, 1 failure, 2 bad input, 130 interrupted."""
-    handle_version_flag("ggavatar-render")
-    options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
 
     def body() -> None:
+        handle_version_flag("ggavatar-render")
+        options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
         check(options)
         from evaluate.rendering.jobs import render
 
         with show_progress("rendering") as progress:
             written = render(options, progress)
-        for path in written:
-            sys.stdout.write(f"{path}\n")
+        write_out(*map(str, written))
 
     return run_command(body)

@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from evaluate.escaping.figure_text import figure_text
 from evaluate.figures.evaluation_images import EvaluationImages, display_names, measured_metrics
+from evaluate.figures.fonts import our_fonts
 from evaluate.metrics.catalogue import metric_of, title_of
 from ggavatar.io.atomic import write_atomically
 
@@ -35,10 +37,10 @@ def curves(compared: Sequence[EvaluationImages], metrics: Sequence[str] = ()) ->
         _draw(panel, compared, name)
     panels[-1].set_xlabel("source frame")
     first = compared[0].evaluation
-    figure.suptitle(f"{first.subject} · {first.protocol.id} · {len(first.frames)} frames", fontsize=11)
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, fontsize=9
-    )
+    title = f"{first.subject} · {first.protocol.id} · {len(first.frames)} frames"
+    figure.suptitle(figure_text(title), fontsize=11)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure
 
 
@@ -52,7 +54,7 @@ def _draw(panel: Axes, compared: Sequence[EvaluationImages], name: str) -> None:
         if not np.isfinite(values).any():
             continue
         marker = "o" if len(frames) <= 80 else ""
-        panel.plot(frames, values, color=color, linewidth=1.3, label=label, marker=marker, markersize=3.0)
+        panel.plot(frames, values, color=color, linewidth=1.3, label=figure_text(label), marker=marker, markersize=3.0)
         panel.axhline(float(np.nanmean(values)), color=color, linewidth=0.9, linestyle="--", alpha=0.7)
         worst = np.nanargmin(values) if metric.higher_is_better else np.nanargmax(values)
         panel.plot(frames[worst], values[worst], "v" if metric.higher_is_better else "^", color=color, markersize=7)
@@ -60,7 +62,7 @@ def _draw(panel: Axes, compared: Sequence[EvaluationImages], name: str) -> None:
             str(frames[worst]), (frames[worst], values[worst]), (6, 0), textcoords="offset points", fontsize=8
         )
     unit = "" if metric.unit == "1" else f", {metric.unit}"
-    panel.set_ylabel(f"{title_of(name)}{unit} {metric.arrow}")
+    panel.set_ylabel(figure_text(f"{title_of(name)}{unit} {metric.arrow}"))
     panel.grid(True, color="#dddddd", linewidth=0.6)
     panel.spines[["top", "right"]].set_visible(False)
 
@@ -69,5 +71,6 @@ def write_curves(path: Path, compared: Sequence[EvaluationImages]) -> None:
     """Write the curves in the format of the suffix (.png, .pdf, .svg), if anything was measured."""
     if not measured_metrics(compared):
         return
-    figure = curves(compared)
-    write_atomically(path, lambda stream: figure.savefig(stream, format=path.suffix[1:]))
+    with our_fonts():
+        figure = curves(compared)
+        write_atomically(path, lambda stream: figure.savefig(stream, format=path.suffix[1:]))

@@ -21,6 +21,7 @@ from evaluate.tables.provenance import ranges
 from evaluate.tables.write import build_tables
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
+from ggavatar.text.names import displayable
 
 TEMPLATE = "report.html"
 WORST_FRAMES = 6
@@ -71,9 +72,14 @@ def _avatar_page(report: Path) -> str | None:
 
 def _environment() -> Environment:
     """Jinja2 with automatic escaping, undefined names as errors and strict JSON."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment = Environment(autoescape=True, undefined=StrictUndefined, finalize=_shown)
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
     return environment
+
+
+def _shown(value: object) -> object:
+    """A value before Jinja2 escapes it; finished markup is kept."""
+    return value if hasattr(value, "__html__") else displayable(str(value))
 
 
 def report_data(compared: Sequence[EvaluationImages], megabytes: float) -> dict[str, Any]:

@@ -14,6 +14,9 @@ from jaxtyping import Float, UInt8
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.font_manager import FontProperties
 
+from evaluate.figures.fonts import font_families, our_fonts
+from ggavatar.text.names import displayable
+
 TEXT_COLOR = (34, 34, 40)
 BACKGROUND = (255, 255, 255)
 MUTED_COLOR = (110, 110, 120)
@@ -26,16 +29,18 @@ def text_coverage(text: str, size: float, bold: bool = False) -> Float[np.ndarra
     """Coverage of every pixel by a line of text, in [0, 1]; the height depends only on the size, so lines align.
 
     Args:
-        text: One line; math markup is not interpreted.
+        text: Shown as one line; math markup is not interpreted.
         size: Font size (height of the em square), px.
         bold: Use the bold face.
     """
-    font = FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal", size=size)
-    measuring = RendererAgg(8, 8, 72)
-    width = measuring.get_text_width_height_descent(text, font, False)[0] if text else 0
-    renderer = RendererAgg(ceil(width) + 2, ceil(size * 1.3), 72)
-    if text:
-        renderer.draw_text(renderer.new_gc(), 1, round(size), text, font, 0)
+    line = displayable(text)
+    font = FontProperties(family=list(font_families()), weight="bold" if bold else "normal", size=size)
+    with our_fonts():
+        measuring = RendererAgg(8, 8, 72)
+        width = measuring.get_text_width_height_descent(line, font, False)[0] if line else 0
+        renderer = RendererAgg(ceil(width) + 2, ceil(size * 1.3), 72)
+        if line:
+            renderer.draw_text(renderer.new_gc(), 1, round(size), line, font, 0)
     covered = np.asarray(renderer.buffer_rgba())[..., 3].astype(np.float32) / 255
     covered.setflags(write=False)
     return covered

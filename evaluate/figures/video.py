@@ -19,9 +19,14 @@ from evaluate.figures.text import MUTED_COLOR, TEXT_COLOR, text_band
 from evaluate.metrics.pixels import absolute_error, psnr
 from evaluate.scoring.frame_files import common_frames, frame_files
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import partial_file
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import read_rgb
 
 CRF = 18
+ENCODER = {"preset": "veryfast", "x264-params": "mbtree=0"}
+"""Options of x264. Its macroblock tree reads memory that it has not written, with sizes such as 192×108 and 96×96: two
+calls of a command would then write different videos of the same images."""
 
 
 @contextlib.contextmanager
@@ -36,12 +41,12 @@ def video_writer(path: Path, fps: float, crf: int = CRF) -> Iterator[Callable[[n
         fps: Frames per second.
         crf: Quality, 0 (lossless) to 51; 18 is visually lossless.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial.mp4")
+    make_folder(path.parent)
+    partial = partial_file(path)
     try:
-        with av.open(str(partial), "w", options={"movflags": "faststart"}) as container:
+        with av.open(str(partial), "w", format="mp4", options={"movflags": "faststart"}) as container:
             stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-            stream.options = {"crf": str(crf), "preset": "veryfast"}
+            stream.options = {**ENCODER, "crf": str(crf)}
             stream.pix_fmt = "yuv420p"
             count = 0
 

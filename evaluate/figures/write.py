@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from evaluate.escaping.file_names import file_stem
 from evaluate.figures.comparison import load_comparison_frame, typical_frames, write_comparison
 from evaluate.figures.comparison_layout import comparison
 from evaluate.figures.curves import write_curves
@@ -76,8 +77,7 @@ def write_comparisons(evaluated: Sequence[EvaluationImages], folder: Path) -> li
 
 def _write_method_comparison(members: Sequence[EvaluationImages], folder: Path, stem: str) -> list[Path]:
     """Comparison and report of several methods on one subject."""
-    safe = "".join(letter if letter.isalnum() or letter in "-_.+=" else "_" for letter in stem)
-    figure, page = folder / f"comparison-{safe}.png", folder / f"report-{safe}.html"
+    figure, page = folder / f"comparison-{file_stem(stem)}.png", folder / f"report-{file_stem(stem)}.html"
     write_comparison(figure, _folders(members), members[0].truth, focus=members[0].face_masks)
     write_report(page, members)
     return [figure, page]

@@ -16,7 +16,9 @@ from evaluate.protocols.results import SCHEMA as RESULTS_SCHEMA
 from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.scoring.touched import require_untouched
 from ggavatar.errors import InputError
+from ggavatar.io.folder_lock import lock_output
 from ggavatar.io.json_files import read_json, write_json
+from ggavatar.text.names import clean_name, clean_values
 
 SCHEMA, VERSION = "ggavatar-baseline", 1
 
@@ -56,9 +58,8 @@ class Baseline:
 
 
 def label_of(subject: str, method: str, seed: int | None) -> str:
-    """A name of an evaluation on one line, whatever characters its parts have."""
-    words = f"{subject}/{method}" + ("" if seed is None else f"/seed {seed}")
-    return " ".join(words.split())
+    """A name of an evaluation."""
+    return f"{subject}/{method}" + ("" if seed is None else f"/seed {seed}")
 
 
 def baseline_of(evaluation: Evaluation) -> Baseline:
@@ -77,9 +78,14 @@ def baseline_of(evaluation: Evaluation) -> Baseline:
 
 
 def write_baseline(path: Path, evaluations: Sequence[Evaluation]) -> None:
-    """Write the means of evaluations as a baseline file."""
+    """Write the means of evaluations as a baseline file.
+
+    Raises:
+        InputError: Another process is writing it.
+    """
     listed = [baseline_of(evaluation).as_dict() for evaluation in evaluations]
-    write_json(path, {"schema": SCHEMA, "version": VERSION, "evaluations": listed})
+    with lock_output(path):
+        write_json(path, {"schema": SCHEMA, "version": VERSION, "evaluations": listed})
 
 
 def read_baselines(path: Path) -> list[Baseline]:
@@ -94,8 +100,8 @@ def read_baselines(path: Path) -> list[Baseline]:
     """
     if not path.is_dir():
         return _read_file(path)
-    files = [path / METRICS_FILE] if (path / METRICS_FILE).is_file() else sorted(path.glob(f"eval/*/{METRICS_FILE}"))
-    files = files or sorted(path.glob("results/*.json"))
+    own = [path / METRICS_FILE] if (path / METRICS_FILE).is_file() else []
+    files = own + sorted(path.glob(f"eval/*/{METRICS_FILE}")) or sorted(path.glob("results/*.json"))
     if not files:
         raise InputError(
             f"{path}: expected a run that was scored, an evaluation folder or a {METRICS_FILE}, found neither; score "
@@ -105,7 +111,7 @@ def read_baselines(path: Path) -> list[Baseline]:
 
 
 def _read_file(path: Path) -> list[Baseline]:
-    content = read_json(path, MAX_BYTES)
+    content = clean_values(read_json(path, MAX_BYTES))
     if content.get("schema") == RESULTS_SCHEMA:
         evaluation = read_results(path)
         require_untouched(evaluation, path.parent)
@@ -125,7 +131,8 @@ def _read_file(path: Path) -> list[Baseline]:
 
 
 def _from_dict(values: Mapping[str, Any]) -> Baseline:
-    texts = {name: str(values[name]) for name in ("subject", "method", "protocol", "digest", "ground_truth")}
+    names = {name: clean_name(str(values[name])) for name in ("subject", "method")}
+    texts = {name: str(values[name]) for name in ("protocol", "digest", "ground_truth")}
     means = {str(name): None if mean is None else float(mean) for name, mean in values["means"].items()}
     seed = values["seed"] if values["seed"] is None else int(values["seed"])
-    return Baseline(seed=seed, setup=setup_from_dict(values["setup"]), means=means, **texts)
+    return Baseline(seed=seed, setup=setup_from_dict(values["setup"]), means=means, **names, **texts)

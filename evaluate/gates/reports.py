@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+from evaluate.escaping.github import github_message, github_property
+from evaluate.escaping.markdown import markdown_text
+from evaluate.escaping.xml_text import xml_text
 from evaluate.gates.checks import Check
 from ggavatar.io.atomic import write_text
 
@@ -22,6 +26,7 @@ def to_junit(checks: Sequence[Check]) -> str:
     suite = ElementTree.SubElement(
         root, "testsuite", name="ggavatar-eval", tests=str(len(checks)), failures=str(failures)
     )
+    checks = [replace(c, case=xml_text(c.case), message=xml_text(c.message), rule=xml_text(c.rule)) for c in checks]
     seen: Counter[tuple[str, str]] = Counter()
     for check in checks:
         group, _, metric = check.case.rpartition("/")
@@ -44,7 +49,7 @@ def write_junit(path: Path, checks: Sequence[Check]) -> None:
 
 def to_github(checks: Sequence[Check]) -> str:
     """GitHub workflow commands: an error for every failed check, and one notice that sums up all."""
-    errors = [f"::error title={_property(c.case)}::{_message(c.message)}\n" for c in checks if not c.passed]
+    errors = [f"::error title={github_property(c.case)}::{github_message(c.message)}\n" for c in checks if not c.passed]
     return "".join([*errors, f"::notice title=ggavatar-eval::{summary_line(checks)}\n"])
 
 
@@ -61,25 +66,11 @@ def append_step_summary(checks: Sequence[Check]) -> Path | None:
     if not name:
         return None
     ordered = sorted(checks, key=lambda check: check.passed)
-    rows = [f"| {'pass' if c.passed else '**FAIL**'} | {_cell(c.case)} | {_cell(c.message)} |" for c in ordered]
+    rows = [
+        f"| {'pass' if c.passed else '**FAIL**'} | {markdown_text(c.case)} | {markdown_text(c.message)} |"
+        for c in ordered
+    ]
     lines = [f"### ggavatar-eval: {summary_line(checks)}", "", "| | check | |", "|---|---|---|", *rows, "", ""]
     with Path(name).open("a", encoding="utf-8") as stream:
         stream.write("\n".join(lines))
     return Path(name)
-
-
-def _message(text: str) -> str:
-    """Text escaped for the message of a workflow command."""
-    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: str) -> str:
-    """Text escaped for a property of a workflow command."""
-    return _message(text).replace(":", "%3A").replace(",", "%2C")
-
-
-def _cell(text: str) -> str:
-    """Text escaped for a cell of a Markdown table."""
-    for character in ("\\", "|", "*", "_", "<", "`", "["):
-        text = text.replace(character, "\\" + character)
-    return " ".join(text.split())

@@ -11,7 +11,16 @@ from jaxtyping import Float
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from ggavatar.io.npz import read_npz
+from ggavatar.formats.arkit_recording import (
+    ARKIT_NAMES,
+    DEFAULT_FPS,
+    ArkitRecording,
+    is_arkit_recording,
+    read_arkit_recording,
+)
+from ggavatar.head.expression_axes import names_without_file
+from ggavatar.io.npz import npz_headers, read_npz
+from ggavatar.landmarks.blendshapes import NAMES
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,9 @@ class DrivingSequence:
         fps: Frames per second of the source.
         joint_names: Names as in the head model.
         head_version: Version tag of the parameter space.
+        axis_names: What each coefficient means, as in the head model; empty if unknown.
+        scores: ARKit's expression scores of the frames in the order of `ggavatar.landmarks.blendshapes.NAMES`, NaN in
+            frames without a face; None if they were not measured.
     """
 
     expression: Float[np.ndarray, "T E"]
@@ -63,6 +75,8 @@ class DrivingSequence:
     fps: float
     joint_names: tuple[str, ...]
     head_version: str
+    axis_names: tuple[str, ...] = ()
+    scores: Float[np.ndarray, "T 52"] | None = None
 
     def rows(self, chosen: np.ndarray | slice) -> DrivingSequence:
         """The sequence restricted to some frames."""
@@ -74,6 +88,7 @@ class DrivingSequence:
             translation=self.translation[chosen],
             cameras=self.cameras and self.cameras.rows(chosen),
             frames=tuple(np.array(self.frames)[chosen].tolist()),
+            scores=None if self.scores is None else self.scores[chosen],
         )
 
     def row(self, frame: int) -> int:
@@ -86,7 +101,7 @@ class DrivingSequence:
 def driving_sequence_of(capture: Capture) -> DrivingSequence:
     """The tracking of a capture as a driving sequence."""
     tracking = capture.tracking
-    names = read_npz(capture.head_path, ["joint_names"])["joint_names"]
+    names = _head_names(capture)
     return DrivingSequence(
         expression=tracking.expression.astype(np.float64),
         joint_rotations=tracking.joint_rotations.astype(np.float64),
@@ -99,21 +114,56 @@ def driving_sequence_of(capture: Capture) -> DrivingSequence:
         ),
         frames=capture.frames,
         fps=capture.fps,
-        joint_names=tuple(str(name) for name in names),
+        joint_names=names["joint_names"],
         head_version=capture.head_version,
+        axis_names=names["expression_names"],
+    )
+
+
+def _head_names(capture: Capture) -> dict[str, tuple[str, ...]]:
+    """Names of joints and expression axes, read without the rest of the head."""
+    present = [key for key in ("joint_names", "expression_names") if key in npz_headers(capture.head_path)]
+    found = {key: tuple(str(name) for name in value) for key, value in read_npz(capture.head_path, present).items()}
+    older = names_without_file(capture.head_version, capture.tracking.expression.shape[1])
+    return {"expression_names": older, **found}
+
+
+def driving_sequence_of_scores(recording: ArkitRecording) -> DrivingSequence:
+    """A recording of ARKit's scores: a face without a head, whose pose stays that of the avatar at rest."""
+    recording = recording.resampled(DEFAULT_FPS)
+    count = len(recording.times)
+    scores = np.zeros((count, len(NAMES)))
+    for column, name in enumerate(NAMES):
+        if name in ARKIT_NAMES:
+            scores[:, column] = recording.scores[:, ARKIT_NAMES.index(name)]
+    return DrivingSequence(
+        expression=np.zeros((count, 0)),
+        joint_rotations=np.zeros((count, 0, 3)),
+        eyelids=np.zeros((count, 2)),
+        translation=np.zeros((count, 3)),
+        cameras=None,
+        frames=tuple(range(count)),
+        fps=DEFAULT_FPS,
+        joint_names=(),
+        head_version="arkit",
+        scores=scores,
     )
 
 
 def read_driving_sequence(path: Path) -> DrivingSequence:
-    """Read a driving sequence from a capture folder or an .npz file (docs/rendering.md).
+    """Read a driving sequence: a capture folder, an .npz file, or a recording of ARKit's scores (docs/rendering.md).
 
     Raises:
         InputError: Neither of the two, or an array is missing, has the wrong shape or is not finite.
     """
     if path.is_dir():
         return driving_sequence_of(Capture.open(path))
+    if is_arkit_recording(path):
+        return driving_sequence_of_scores(read_arkit_recording(path))
     if path.suffix.lower() != ".npz":
-        raise InputError(f"{path}: expected a capture folder or an .npz file of head parameters")
+        raise InputError(
+            f"{path}: expected a capture folder, an .npz file of head parameters, or a recording of ARKit's scores"
+        )
     arrays = read_npz(path)
     count = len(_array(path, arrays, "expression", (None, None)))
     names = tuple(str(name) for name in np.atleast_1d(arrays.get("joint_names", np.array([], str))))

@@ -46,7 +46,16 @@ def match_basis(driver: DrivingSequence, target: DrivingSequence, force: bool = 
     expression = np.zeros((len(driver.frames), count))
     shared = min(count, driver.expression.shape[1])
     expression[:, :shared] = driver.expression[:, :shared]
-    joints = np.zeros((len(driver.frames), len(target.joint_names), 3))
+    return dataclasses.replace(on_head_of(driver, target), expression=expression)
+
+
+def on_head_of(driver: DrivingSequence, target: DrivingSequence) -> DrivingSequence:
+    """The driver's motion in the target's joints and expression axes; those that it lacks stay at zero."""
+    count = len(driver.frames)
+    expression, joints = np.zeros((count, target.expression.shape[1])), np.zeros((count, len(target.joint_names), 3))
+    for index, name in enumerate(target.axis_names):
+        if name in driver.axis_names:
+            expression[:, index] = driver.expression[:, driver.axis_names.index(name)]
     for index, name in enumerate(target.joint_names):
         if name in driver.joint_names:
             joints[:, index] = driver.joint_rotations[:, driver.joint_names.index(name)]
@@ -56,6 +65,7 @@ def match_basis(driver: DrivingSequence, target: DrivingSequence, force: bool = 
         joint_rotations=joints,
         joint_names=target.joint_names,
         head_version=target.head_version,
+        axis_names=target.axis_names,
     )
 
 

@@ -42,7 +42,7 @@ def _smoothing_factor(cutoff: float | np.ndarray, fps: float) -> float | np.ndar
     return radians / (1 + radians)
 
 
-def savgol(values: Float[np.ndarray, "T D"], window: int = 7, order: int = 2) -> Float[np.ndarray, "T D"]:
+def savgol(values: Float[np.ndarray, "T D"], window: int = 5, order: int = 2) -> Float[np.ndarray, "T D"]:
     """Least-squares polynomial in a sliding window (Savitzky and Golay 1964): no lag, exact for polynomials of `order`.
 
     Short clips use the largest odd window that fits; clips too short for that are returned unchanged.
@@ -62,3 +62,12 @@ def smoothed(values: Float[np.ndarray, "T D"], method: str, fps: float) -> Float
     if method == "savgol":
         return savgol(values)
     raise ValueError(f"expected a smoothing method of {METHODS}, got {method!r}")
+
+
+def interpolated(values: Float[np.ndarray, "T D"]) -> Float[np.ndarray, "T D"]:
+    """Values with the rows that are not finite filled linearly from those around them."""
+    known = np.isfinite(values).all(axis=1)
+    if known.all() or not known.any():
+        return values
+    rows = np.arange(len(values))
+    return np.stack([np.interp(rows, rows[known], column[known]) for column in values.T], axis=1)

@@ -1,7 +1,7 @@
-"""Cross-identity reenactment: transfer of a driving sequence to another head, relative to both neutral frames.
+"""Cross-identity reenactment: transfer of a driving sequence to another head, relative to both at rest.
 
-Expression coefficients of two people are comparable in their changes, not their values, since trackers explain part of
-a face's identity by expression. So the change from the driver's neutral frame is added to the target's neutral frame.
+What a face shows is carried over by `evaluate.motion.expression_transfer`; what moves the head, neck and torso, as the
+change from a frame in which the driver faces the camera, to such a frame of the target.
 """
 
 from __future__ import annotations
@@ -13,7 +13,12 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from evaluate.motion.driving_sequence import Cameras, DrivingSequence
-from evaluate.motion.smoothing import smoothed
+from evaluate.motion.expression_transfer import carry_over
+from evaluate.motion.face import face_of
+from evaluate.motion.facial_codes import facial_layout, with_facial_codes
+from evaluate.motion.neutral import facing_row
+from evaluate.motion.retarget import on_head_of
+from evaluate.motion.smoothing import interpolated, smoothed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,31 +26,18 @@ class TransferOptions:
     """How a driving sequence is transferred.
 
     Attributes:
-        expression: `relative` adds the driver's changes to the target's neutral frame; `absolute` copies coefficients
-            and joint rotations.
+        expression: `matched` looks for the target's face that shows what the driver's shows (`carry_over`); `relative`
+            adds the driver's changes of coefficients to the target's neutral frame; `absolute` copies coefficients and
+            joint rotations.
         pose: The same for the head's pose relative to the camera; `still` keeps the target's neutral pose.
         smooth: One of `evaluate.motion.smoothing.METHODS`.
         margin: How far a value may leave the range seen in training, as a fraction of that range; None for no limit.
     """
 
-    expression: str = "relative"
+    expression: str = "matched"
     pose: str = "relative"
     smooth: str = "savgol"
-    margin: float | None = 0.15
-
-
-def neutral_row(sequence: DrivingSequence) -> int:
-    """Row of the frame closest to neutral: mouth closed, eyes open, facing forward.
-
-    It minimizes the sum of squared expression coefficients (in units of their deviation over the clip), joint angles
-    (root and neck included) and eyelid closure; constant coefficients do not count.
-    """
-    deviation = sequence.expression.std(axis=0)
-    scaled = sequence.expression / np.where(deviation > 1e-9, deviation, np.inf)
-    terms = [np.square(scaled).mean(axis=1)] if scaled.shape[1] else []
-    terms.append(np.square(np.abs(sequence.joint_rotations).sum(axis=(1, 2)) / 0.1))
-    terms.append(np.square(sequence.eyelids / 0.25).sum(axis=1))
-    return int(np.argmin(np.sum(terms, axis=0)))
+    margin: float | None = 3.0
 
 
 def transfer_performance(
@@ -66,7 +58,7 @@ def transfer_performance(
     smooth = _smoothed_sequence(driver, driver_neutral, how.smooth)
     rest, goal = smooth.rows(_only(driver_neutral)), target.rows(_only(target_neutral))
     moved = dataclasses.replace(smooth, cameras=_cameras(smooth, rest.cameras, goal.cameras, how.pose))
-    if how.expression == "relative":
+    if how.expression != "absolute":
         moved = dataclasses.replace(
             moved,
             expression=goal.expression + smooth.expression - rest.expression,
@@ -75,6 +67,39 @@ def transfer_performance(
             translation=goal.translation + smooth.translation - rest.translation,
         )
     return moved if how.margin is None else limit_to_training_range(moved, target, target_neutral, how.margin)
+
+
+def match_performance(
+    driver: DrivingSequence,
+    driver_rest: int | None,
+    target: DrivingSequence,
+    target_rest: int | None,
+    how: TransferOptions,
+) -> DrivingSequence:
+    """Transfer the driver's performance to the target by what the faces show.
+
+    Args:
+        driver: Sequence in a basis of its own.
+        driver_rest: Row that shows the driver at rest; None computes it.
+        target: Sequence that the avatar was trained on.
+        target_rest: Row that shows the target at rest; None computes it.
+        how: Pose, smoothing and limits.
+
+    Raises:
+        InputError: Nothing is common to both faces.
+    """
+    rows = _row_or_facing(driver, driver_rest), _row_or_facing(target, target_rest)
+    smooth = _smoothed_sequence(driver, rows[0], how.smooth)
+    codes = carry_over(face_of(smooth, driver_rest), face_of(target, target_rest))
+    body = transfer_performance(
+        on_head_of(smooth, target), rows[0], target, rows[1], dataclasses.replace(how, smooth="none", margin=None)
+    )
+    moved = with_facial_codes(body, facial_layout(target), codes)
+    return moved if how.margin is None else limit_to_training_range(moved, target, rows[1], how.margin)
+
+
+def _row_or_facing(sequence: DrivingSequence, row: int | None) -> int:
+    return facing_row(sequence) if row is None else row
 
 
 def _only(row: int) -> slice:
@@ -143,6 +168,7 @@ def _smoothed_sequence(sequence: DrivingSequence, neutral: int, method: str) -> 
     return dataclasses.replace(
         sequence,
         expression=filtered(sequence.expression),
+        scores=None if sequence.scores is None else filtered(interpolated(sequence.scores)),
         joint_rotations=np.stack(joints, axis=1) if joints else sequence.joint_rotations,
         eyelids=filtered(sequence.eyelids),
         translation=filtered(sequence.translation),

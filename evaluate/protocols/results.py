@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
+from evaluate.escaping.csv_cells import csv_text
 from evaluate.metrics.catalogue import metric_of
 from evaluate.metrics.pixels import pooled_psnr
 from evaluate.protocols.protocol import Protocol, protocol_from_dict
@@ -18,7 +17,9 @@ from evaluate.protocols.setup import Setup, setup_from_dict
 from evaluate.protocols.statistics import Summary, summarize
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, readable_json, sealed
+from ggavatar.io.regular_files import read_file
+from ggavatar.text.names import clean_name, clean_values
 
 SCHEMA, VERSION = "ggavatar-evaluation", 1
 METRICS_FILE, FRAMES_FILE = "metrics.json", "per_frame.csv"
@@ -119,34 +120,45 @@ def _finite(value: Value) -> Value:
 def write_results(evaluation: Evaluation, folder: Path) -> list[Path]:
     """Write `metrics.json` and `per_frame.csv`, unrounded and atomically, and return their paths."""
     paths = [folder / METRICS_FILE, folder / FRAMES_FILE]
-    for path, text in zip(paths, (to_json(evaluation.as_dict()), _to_csv(evaluation)), strict=True):
+    for path, text in zip(paths, (to_json(sealed(evaluation.as_dict())), _to_csv(evaluation)), strict=True):
         write_text(path, text)
     return paths
 
 
+def restore_frames(evaluation: Evaluation, folder: Path) -> bool:
+    """Write `per_frame.csv` again where it does not hold the values of the evaluation; whether that was so."""
+    path, text = folder / FRAMES_FILE, _to_csv(evaluation)
+    try:
+        if read_file(path, MAX_BYTES, "a table of values") == text.encode():
+            return False
+    except InputError:
+        pass
+    write_text(path, text)
+    return True
+
+
 def to_json(content: Mapping[str, Any]) -> str:
     """Strict, readable JSON with each list of numbers on one line."""
-    lines = [f"  {json.dumps(key)}: {_block(value)}" for key, value in content.items()]
+    lines = [f"  {readable_json(key)}: {_block(value)}" for key, value in content.items()]
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _block(value: Any) -> str:
     """One top-level value: a mapping has one line per key."""
     if not isinstance(value, Mapping) or not value:
-        return json.dumps(value, allow_nan=False, ensure_ascii=False)
-    inner = (f"    {json.dumps(k)}: {json.dumps(v, allow_nan=False, ensure_ascii=False)}" for k, v in value.items())
+        return readable_json(value)
+    inner = (f"    {readable_json(name)}: {readable_json(entry)}" for name, entry in value.items())
     return "{\n" + ",\n".join(inner) + "\n  }"
 
 
 def _to_csv(evaluation: Evaluation) -> str:
     """One line per frame; `inf` for identical images, empty for absent values."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["frame", *evaluation.values])
-    for row, frame in enumerate(evaluation.frames):
-        cells = [column[row] for column in evaluation.values.values()]
-        writer.writerow([frame, *("" if cell is None else repr(float(cell)) for cell in cells)])
-    return stream.getvalue()
+    columns = list(zip(*evaluation.values.values(), strict=True)) or [() for _ in evaluation.frames]
+    lines = [
+        (str(frame), *(None if cell is None else float(cell) for cell in cells))
+        for frame, cells in zip(evaluation.frames, columns, strict=True)
+    ]
+    return csv_text([("frame", *evaluation.values), *lines])
 
 
 def read_results(path: Path) -> Evaluation:
@@ -157,40 +169,61 @@ def read_results(path: Path) -> Evaluation:
     """
     file = path / METRICS_FILE if path.is_dir() else path
     try:
-        content = read_json(file, MAX_BYTES)
+        content = clean_values(read_json(file, MAX_BYTES))
     except InputError as error:
         raise InputError(f"{error}; score the images with ggavatar-eval first") from error
     if content.get("schema") != SCHEMA or content.get("version") != VERSION:
-        found = f"{content.get('schema')!r} version {content.get('version')!r}"
+        found = f"{content.get('schema')!r:.60} version {content.get('version')!r:.60}"
         raise InputError(f"{file}: expected {SCHEMA!r} version {VERSION}, found {found}; score the images again")
     try:
         return _from_dict(content)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
-            f"{file}: a field is missing or has the wrong type ({error!r}); score the images again"
+            f"{file}: a field is missing or has the wrong type ({error!r:.200}); score the images again"
         ) from error
 
 
 def _from_dict(content: Mapping[str, Any]) -> Evaluation:
-    frames = tuple(int(n) for n in content["frames"])
-    identical = {name: set(numbers) for name, numbers in content["identical"].items()}
+    frames = tuple(_all(int, content["frames"]))
+    identical = {name: set(_all(int, numbers)) for name, numbers in _mapping(content, "identical").items()}
     values: dict[str, tuple[Value, ...]] = {}
-    for name, column in content["per_frame"].items():
-        infinite = identical.get(name, set())
+    for name, column in _mapping(content, "per_frame").items():
+        infinite, column = identical.get(name, set()), _all((int, float, NoneType), column)
         values[name] = tuple(math.inf if n in infinite else v for n, v in zip(frames, column, strict=True))
-    summary = content["summary"]
+    summary = _mapping(content, "summary")
+    texts = {name: _mapping(content, name) for name in ("hashes", "weights")}
+    for found in texts.values():
+        _all(str, list(found.values()))
     return Evaluation(
-        subject=str(content["subject"]),
-        method=str(content["method"]),
-        protocol=protocol_from_dict(content["protocol"]),
+        subject=clean_name(_all(str, [content["subject"]])[0]),
+        method=clean_name(_all(str, [content["method"]])[0]),
+        protocol=protocol_from_dict(_mapping(content, "protocol")),
         frames=frames,
         values=values,
-        seed=content["seed"],
-        missing={name: entry["missing"] for name, entry in summary.items() if "missing" in entry},
-        hashes=content["hashes"],
-        weights=content["weights"],
-        efficiency=content["efficiency"],
-        provenance=content["provenance"],
-        notes=tuple(content["notes"]),
-        setup=setup_from_dict(content.get("setup", {})),
+        seed=_all((int, NoneType), [content["seed"]])[0],
+        missing={name: str(entry["missing"]) for name, entry in summary.items() if "missing" in entry},
+        hashes=texts["hashes"],
+        weights=texts["weights"],
+        efficiency=_mapping(content, "efficiency"),
+        provenance=_mapping(content, "provenance"),
+        notes=tuple(_all(str, content["notes"])),
+        setup=setup_from_dict(_mapping({"setup": {}, **content}, "setup")),
     )
+
+
+def _mapping(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """An entry that is an object; `TypeError` if it is none."""
+    value = content[name]
+    if not isinstance(value, dict):
+        raise TypeError(f"{name}: expected an object, found {type(value).__name__}")
+    return value
+
+
+def _all(kind: type | tuple[type, ...], values: object) -> list[Any]:
+    """A list whose entries are of one kind, and no truth values; `TypeError` if it is none."""
+    if not isinstance(values, list):
+        raise TypeError(f"expected a list, found {type(values).__name__}")
+    for value in values:
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise TypeError(f"expected numbers or texts of one kind in a list, found {value!r:.60}")
+    return values

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import hashlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,27 +17,44 @@ from evaluate.figures.novel_views import novel_views
 from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.figures.video import playback_fps
 from evaluate.motion.driving_sequence import driving_sequence_of
+from evaluate.motion.neutral import neutral_row
 from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
 from evaluate.motion.retarget import drives_and_cameras
 from evaluate.motion.transfer import TransferOptions
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN
-from evaluate.rendering.performances import NeutralFrames, carried_over, row_of_neutral
+from evaluate.rendering.driven import Rest, perform
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
-from evaluate.rendering.views import FRAMES, RGBA, VIDEO, Output, View, claim_folder, method_of_output, render_views
+from evaluate.rendering.views import (
+    DRIVE_FIGURE,
+    FRAMES,
+    ORBIT_FIGURE,
+    RGBA,
+    VIDEO,
+    Output,
+    View,
+    claimed_folder,
+    method_of_output,
+    render_views,
+)
 from evaluate.scoring.frame_files import find_frame
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
 from evaluate.scoring.ground_truth import GroundTruth
 from ggavatar.core import Camera, Drive
 from ggavatar.data.background import Color, parse_background
-from ggavatar.data.capture import Capture
+from ggavatar.data.capture import DESCRIPTION, HEAD, TRACKING, Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
+from ggavatar.io.digests import sha256_of
+from ggavatar.io.held_folders import hold_folder
 from ggavatar.io.images import read_rgb, write_png
+from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
+from ggavatar.text.terminal import write_err
 from ggavatar.training.run_folder import Run, open_run
+from ggavatar.training.same_capture import change_since_training
 
 if TYPE_CHECKING:
     from evaluate.rendering.options import Options
@@ -69,6 +88,11 @@ def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]
     Raises:
         InputError: Options, run or output folder cannot be used, or the device is not available.
     """
+    with hold_folder(options.run) if options.run.is_dir() else contextlib.nullcontext():
+        return _render(options, progress)
+
+
+def _render(options: Options, progress: Callable[[int, int], None]) -> list[Path]:
     run = _open(options, resolve_device(options.device))
     background = _background(options, run)
     if isinstance(run, StandaloneGaussians):
@@ -79,10 +103,10 @@ def render(options: Options, progress: Callable[[int, int], None]) -> list[Path]
     folder = options.output_dir or run.folder / "renders" / plan.name
     fps = (options.fps or plan.fps) if options.video else None
     output = Output(folder, background, fps, options.alpha)
-    claim_folder(output, _content(options, run), options.overwrite, options.resume)
-    render_views(run.avatar, run.rasterize, views, output, progress)
+    with claimed_folder(output, _content(options, run), options.overwrite, options.resume):
+        render_views(run.avatar, run.rasterize, views, output, progress)
+        figure = plan.write_figure(output)
     wanted = {FRAMES: True, RGBA: options.alpha, VIDEO: options.video}
-    figure = plan.write_figure(output)
     return [folder / name for name, is_there in wanted.items() if is_there] + ([figure] if figure else [])
 
 
@@ -95,7 +119,10 @@ def _open(options: Options, device: str) -> Run | StandaloneGaussians:
         return open_gaussian_file(options.run, source, GIVEN, device, options.backend)
     refuse_file_flags(options.run, source)
     moved = [] if source.capture is None else [source.capture]
-    return open_run(options.run, device, options.step, options.backend, *moved)
+    run = open_run(options.run, device, options.step, options.backend, *moved)
+    if change := change_since_training(run):
+        write_err(f"warning: {change}")
+    return run
 
 
 def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
@@ -111,7 +138,9 @@ def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
 
 def _neutral_view(options: Options, run: Run) -> tuple[Drive, Camera, Tensor]:
     """Drive and camera of the neutral frame, and the center of the head, m."""
-    frame = run.capture.frames[row_of_neutral(driving_sequence_of(run.capture), options.target_neutral)]
+    frame = options.target_neutral
+    if frame is None:
+        frame = run.capture.frames[neutral_row(driving_sequence_of(run.capture))]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
     return drive, camera, head_center(_head(run), drive)
 
@@ -125,7 +154,7 @@ def _orbit(
     views = [View(index, drive, orbit_camera(camera, center, yaw, pitch)) for index, (yaw, pitch) in enumerate(angles)]
 
     def write_figure(output: Output) -> Path:
-        path = output.folder / "novel_views.png"
+        path = output.folder / ORBIT_FIGURE
         write_png(path, novel_views(run.avatar, run.rasterize, view, background))
         return path
 
@@ -135,15 +164,16 @@ def _orbit(
 def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     source = options.drive or Path()
     how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
-    neutral = NeutralFrames(options.neutral, options.target_neutral)
-    driver, moved = carried_over(run, source, how, neutral, options.force_basis)
+    rest = Rest(options.neutral, options.target_neutral)
+    performance = perform(run, source, how, rest, ModelFinder(), options.force_basis)
+    driver, moved = performance.driver, performance.moved
     views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
 
     def write_figure(output: Output) -> Path:
         frames = [view.number for view in _selected(views, options.frames)]
         rows = np.array([driver.row(frame) for frame in frames])
         chosen = [frames[row] for row in representative_rows(driver.rows(rows), COLUMNS)]
-        path = output.folder / "reenactment.png"
+        path = output.folder / DRIVE_FIGURE
         folders = _output_folders(display_name(run.method), output.folder, options.beside)
         results = {
             name: [read_rgb(find_frame(folder / FRAMES, frame)) for frame in chosen] for name, folder in folders.items()
@@ -204,13 +234,22 @@ def _with_width(view: View, width: int | None) -> View:
     return view._replace(camera=view.camera.resized(width, height))
 
 
+def _motion_digest(path: Path) -> str:
+    """SHA-256 of what moves an avatar: a file, or head, cameras and parameters of a capture, without its images."""
+    files = [path / name for name in (DESCRIPTION, TRACKING, HEAD)] if path.is_dir() else [path]
+    return hashlib.sha256("".join(map(sha256_of, files)).encode()).hexdigest()
+
+
 def _content(options: Options, run: Run | StandaloneGaussians) -> dict[str, Any]:
     """Everything that determines the images, as plain values; compared by --resume."""
     skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
+    chosen["drive_sha256"] = None if options.drive is None else _motion_digest(options.drive)
     subject = run.subject if isinstance(run, StandaloneGaussians) else run.capture.subject
     content = {"subject": subject, "method": run.method, "step": run.step, "options": chosen}
+    if isinstance(run, Run):
+        content |= {"checkpoint_sha256": run.sha256, "motion_sha256": _motion_digest(run.capture.folder)}
     if "file_sha256" in run.provenance:
         opened = {name: None if value is None else str(value) for name, value in vars(options.source).items()}
         content["file"] = {"sha256": run.provenance["file_sha256"], **opened}

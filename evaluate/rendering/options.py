@@ -28,18 +28,19 @@ class Options:
     """Render an orbit around the head with a fixed expression instead; also writes novel_views.png."""
     drive: Path | None = None
     """Drive the avatar with a capture folder or an .npz file instead; also writes reenactment.png."""
-    transfer: Literal["relative", "absolute"] = "relative"
-    """Add the driving sequence's changes from its neutral frame to the avatar's, or copy its coefficients."""
+    transfer: Literal["matched", "relative", "absolute"] = "matched"
+    """Show what the driver's face shows, by expression scores and shared axes; or add its changes of coefficients from
+    its neutral frame to the avatar's; or copy its coefficients."""
     pose: Literal["relative", "absolute", "still"] = "relative"
     """The same for the head's pose relative to the camera; still keeps that of the avatar's neutral frame."""
     smooth: Literal["none", "one-euro", "savgol"] = "savgol"
     """Temporal filter of the driving sequence."""
-    limit: float = 0.15
+    limit: float = 3.0
     """How far a coefficient may leave the range seen in training, as a fraction of that range; negative: no limit."""
     neutral: int | None = None
-    """Frame number of the driving sequence's neutral frame; detected by default."""
+    """Frame number that shows the driver at rest; by default rest is computed from all frames."""
     target_neutral: int | None = None
-    """Frame number of the avatar's neutral frame, also used for an orbit; detected by default."""
+    """Frame number that shows the avatar's subject at rest, also used for an orbit; computed by default."""
     beside: tuple[Path, ...] = ()
     """Output folders of --drive for other runs and the same driving sequence: additional rows of reenactment.png."""
     force_basis: bool = False

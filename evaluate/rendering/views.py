@@ -21,12 +21,15 @@ from evaluate.scoring.frame_files import frame_file, to_8_bit
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.data.background import Color
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import write_atomically
+from ggavatar.io.atomic import is_partial, remove_partial_files, write_atomically
+from ggavatar.io.folder_lock import is_lock_file, lock_folder
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import read_rgb, write_png
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.ordered_map import ordered_map
 
 RECORD, VIDEO, FRAMES, RGBA = "render.json", "render.mp4", "frames", "rgba"
+ORBIT_FIGURE, DRIVE_FIGURE = FIGURES = "novel_views.png", "reenactment.png"
 BATCH = 8
 """Largest number of images in memory: one thread renders while another encodes."""
 
@@ -65,33 +68,59 @@ class Output:
     alpha: bool = False
 
 
-def claim_folder(output: Output, content: dict[str, Any], overwrite: bool, resume: bool) -> None:
-    """Prepare the output folder: new or empty, or one of an earlier call that may be overwritten or resumed.
+@contextlib.contextmanager
+def claimed_folder(output: Output, content: dict[str, Any], overwrite: bool, resume: bool) -> Iterator[None]:
+    """Hold the output folder: new or empty, or one of an earlier call that may be overwritten or resumed.
 
-    Only files that an earlier call wrote are deleted.
+    Only files that an earlier call wrote are deleted. A call that has left no image is as good as none.
+
+    Args:
+        output: The folder.
+        content: Everything that determines the images, as plain values.
+        overwrite: Replace earlier images.
+        resume: Keep earlier images of the same content.
 
     Raises:
         InputError: The folder contains earlier output and neither flag is set, output of other options and `resume` is
-            set, or other files.
+            set, or other files; `resume` is set and there is nothing; or another process is writing into it.
     """
-    record = output.folder / RECORD
     wanted = {"schema": "ggavatar-render", "version": 1, "key": _key(content), **content}
-    if output.folder.exists() and (not output.folder.is_dir() or any(output.folder.iterdir())):
-        if not record.is_file():
-            raise InputError(
-                f"{output.folder}: expected a new or empty folder, found other files; choose another with -o"
-            )
-        if not (overwrite or resume):
-            raise InputError(
-                f"{output.folder}: exists; pass --resume to continue, --overwrite to start over, or choose another -o"
-            )
-        if resume and _read_key(record) != wanted["key"]:
-            raise InputError(
-                f"{record}: was written with other options; pass --overwrite to start over, or choose another -o"
-            )
-        if overwrite:
+    _check_folder(output.folder, wanted["key"], overwrite, resume)
+    make_folder(output.folder)
+    with lock_folder(output.folder):
+        _check_folder(output.folder, wanted["key"], overwrite, resume)  # again: the lock may have been another's
+        if not resume:
             _remove_own_files(output.folder)
-    write_json(record, wanted)
+        remove_partial_files(output.folder, *(output.folder / name for name in (FRAMES, RGBA)))
+        write_json(output.folder / RECORD, wanted)  # replaced, never removed: it says that the folder is ours
+        yield
+
+
+def _check_folder(folder: Path, key: str, overwrite: bool, resume: bool) -> None:
+    """The checks of `claimed_folder`; nothing is changed."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder to render into, found a file; choose another with -o")
+    entries = list(folder.iterdir()) if folder.exists() else []
+    if resume and not entries:
+        raise InputError(f"{folder}: --resume found nothing to continue here; check -o, or omit --resume to start")
+    record = folder / RECORD
+    if not record.is_file():
+        others = [path for path in entries if not is_lock_file(path) and not is_partial(path)]
+        if others:
+            raise InputError(
+                f"{folder}: expected a new or empty folder, found other files ({min(others).name}); choose another "
+                "with -o"
+            )
+        return
+    if not (overwrite or resume) and _own_files(folder):
+        raise InputError(
+            f"{folder}: exists; pass --resume to continue, --overwrite to start over, or choose another -o"
+        )
+    if resume and _read_key(record) != key:
+        raise InputError(
+            f"{record}: was written with other options, or from a run or a capture that has changed since; pass "
+            "--overwrite to start over, or choose another -o"
+        )
 
 
 def method_of_output(folder: Path) -> str:
@@ -116,9 +145,15 @@ def _read_key(record: Path) -> object:
         return None
 
 
-def _remove_own_files(folder: Path) -> None:
+def _own_files(folder: Path) -> list[Path]:
+    """What earlier calls have written, besides the record."""
     numbered = [path for name in (FRAMES, RGBA) for path in (folder / name).glob("[0-9]" * 6 + ".png")]
-    for path in [*numbered, *folder.glob("*.png"), folder / VIDEO, folder / RECORD]:
+    named = [path for name in (*FIGURES, VIDEO) if (path := folder / name).is_file()]
+    return [*numbered, *named]
+
+
+def _remove_own_files(folder: Path) -> None:
+    for path in _own_files(folder):
         path.unlink(missing_ok=True)
 
 

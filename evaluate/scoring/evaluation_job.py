@@ -11,7 +11,14 @@ from typing import Protocol as Interface
 from evaluate.metrics.network_files import NO_WEIGHTS
 from evaluate.options import Options
 from evaluate.protocols.protocol import Protocol
-from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
+from evaluate.protocols.results import (
+    FRAMES_FILE,
+    METRICS_FILE,
+    Evaluation,
+    read_results,
+    restore_frames,
+    write_results,
+)
 from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.frame_pairs import pair_folders
 from evaluate.scoring.frame_store import (
@@ -28,6 +35,9 @@ from evaluate.scoring.score import SWITCHED_OFF, face_metrics, learned_metrics, 
 from evaluate.scoring.touched import changed_words, touched_images
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import remove_partial_files
+from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json
 from ggavatar.pretrained.resolve import ModelFinder
 
@@ -76,6 +86,13 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
     Returns:
         The evaluation and its files.
     """
+    make_folder(job.home)
+    with lock_folder(job.home):
+        remove_partial_files(job.home, *(job.home / name for name in FOLDERS), *(job.home / "regions").glob("*"))
+        return _evaluate_locked(job, options, reporter)
+
+
+def _evaluate_locked(job: Job, options: Options, reporter: Reporter) -> tuple[Evaluation, list[Path]]:
     home, protocol = job.home, job.protocol
     if reason := _stale(job):
         reporter.warn(f"{home}: made again, because {reason} changed since the last evaluation")
@@ -91,7 +108,7 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
     for note in labels.notes if labels.setup.origin == "run" else ():
         reporter.warn(f"{labels.subject}, {labels.method}: {note}")
     weights = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
-    earlier = _stored(home)
+    earlier = _stored(home, reporter)
     if earlier is not None:
         if not (touched := touched_images(earlier, home)):
             absent = set(unavailable(protocol, learned, faces))
@@ -99,6 +116,8 @@ def evaluate_job(job: Job, options: Options, reporter: Reporter) -> tuple[Evalua
                 absent,
                 weights,
             ):
+                if restore_frames(earlier, home):
+                    reporter.warn(f"{home / FRAMES_FILE}: changed since it was written; written again")
                 return earlier, [home / METRICS_FILE, home / FRAMES_FILE]
         else:
             reporter.warn(f"{home}: scored again, because {', '.join(touched)} changed since they were scored")
@@ -119,21 +138,23 @@ def _stale(job: Job) -> str:
     stored, wanted = _read_tolerantly(path), job.task.described()
     if stored.get("key") == job.task.key():
         return ""
-    identity = stored.get("identity")
-    before = identity if isinstance(identity, dict) else {}
+    before = stored.get("identity")
+    if not isinstance(before, dict):
+        return f"its description ({SUMMARY})"
     changed = [name for name, value in wanted["identity"].items() if before.get(name) != value]
     changed += [name for name, value in wanted.items() if name != "identity" and stored.get(name) != value]
     words = {"capture_sha256": "the capture", "checkpoint_sha256": "the checkpoint", "size": "the image size"}
     return " and ".join(words.get(name, f"the {name.replace('_', ' ')}") for name in changed) or "its description"
 
 
-def _stored(home: Path) -> Evaluation | None:
-    """The stored evaluation, if there is a readable one."""
+def _stored(home: Path, reporter: Reporter) -> Evaluation | None:
+    """The stored evaluation; None, with a warning, if it is damaged."""
     if not (home / METRICS_FILE).is_file():
         return None
     try:
         return read_results(home)
-    except InputError:
+    except InputError as error:
+        reporter.warn(f"{error}; scored again now")
         return None
 
 
@@ -162,11 +183,11 @@ def remove_evaluation(home: Path) -> None:
     recorded = [path for path, _ in read_digests(home).values()]
     for path in (*recorded, *(folder / name for folder in folders for name in names)):
         path.unlink(missing_ok=True)
-    for name in (METRICS_FILE, FRAMES_FILE, SUMMARY, SUMS):
-        (home / name).unlink(missing_ok=True)
     for path in folders:
         if path.is_dir() and not any(path.iterdir()):
             path.rmdir()
+    for name in (METRICS_FILE, FRAMES_FILE, SUMS, SUMMARY):  # the summary last: it says that the folder is ours
+        (home / name).unlink(missing_ok=True)
 
 
 def _read_tolerantly(path: Path) -> dict[str, Any]:

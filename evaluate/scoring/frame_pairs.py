@@ -9,6 +9,7 @@ from pathlib import Path
 from evaluate.scoring.frame_files import frame_files
 from ggavatar.errors import InputError
 from ggavatar.io.images import image_header
+from ggavatar.text.names import clean_name
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,23 @@ def _mask_folders(masks: Path | None, regions: Path | None) -> dict[str, Path]:
     folders = {"foreground": masks} if masks else {}
     if regions is None:
         return folders
-    if not regions.is_dir() or not (found := sorted(path for path in regions.iterdir() if path.is_dir())):
+    names = region_names(regions)
+    if not names:
         raise InputError(f"{regions}: expected one folder of masks per region, such as face/000123.png, found none")
-    return folders | {path.name: path for path in found}
+    return folders | {name: regions / name for name in names}
+
+
+def region_names(folder: Path) -> list[str]:
+    """Names of the regions that a folder has masks of, one subfolder each, sorted; none if there is no such folder.
+
+    Raises:
+        InputError: A subfolder's name cannot be shown in a table.
+    """
+    names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    for name in names:
+        if clean_name(name) != name:
+            raise InputError(f"{folder}: expected the name of a region, such as face, found {name!r:.80}; rename it")
+    return names
 
 
 def _masks_of(folder: Path, wanted: Sequence[int]) -> dict[int, Path]:

@@ -20,10 +20,12 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import write_png
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import read_json, write_sealed_json
+from ggavatar.io.regular_files import read_file
 
 FOLDERS = ("predictions", "ground_truth", "masks")
 SUMMARY, SUMS = "predict.json", "SHA256SUMS"
+MAX_SUMS_BYTES = 1 << 26
 
 Progress = Callable[[int, int], None]
 Recorded = dict[tuple[str, int], tuple[Path, str]]
@@ -117,7 +119,7 @@ def fill_frames(
 def read_digests(folder: Path) -> Recorded:
     """Path and SHA-256 by (subfolder, frame) as recorded; a line cut off by an interruption is skipped."""
     path = folder / SUMS
-    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    text = read_file(path, MAX_SUMS_BYTES).decode("utf-8", errors="replace") if path.is_file() else ""
     found: Recorded = {}
     for line in text.splitlines():
         if match := re.fullmatch(r"([0-9a-f]{64}) [ *]((\w+)/(\d+)\.\w+)", line):
@@ -180,7 +182,7 @@ def _claim_folder(folder: Path, task: PredictionTask) -> dict[str, Any]:
         **task.described(),
         "complete": False,
     }
-    write_json(path, summary)
+    write_sealed_json(path, summary)
     return summary
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
+from evaluate.escaping.file_names import file_stem
 from evaluate.options import Options
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
@@ -25,9 +24,14 @@ from ggavatar.errors import InputError, nearest
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.head.files import load_head
+from ggavatar.io.atomic import write_atomically
 from ggavatar.io.digests import sha256_of
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import image_header
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import write_sealed_json
+from ggavatar.io.picture_bytes import MAX_IMAGE_BYTES
+from ggavatar.io.regular_files import read_file
+from ggavatar.text.names import clean_name
 from ggavatar.training.run_folder import RunConfig, find_capture, read_config, read_split
 
 WHITE = (1.0, 1.0, 1.0)
@@ -62,12 +66,13 @@ def find_pictures(options: Options) -> list[Pictures]:
     folders = options.folders
     if folders.pred is not None:
         capture = Capture.open(options.source.capture or Path())
-        return [Pictures(folders.method or folders.pred.resolve().name, folders.pred, capture)]
+        return [Pictures(folders.method or clean_name(folders.pred.resolve().name), folders.pred, capture)]
     known = _subjects(options)
     found: list[Pictures] = []
     for text in folders.pred_as:
         name, folder = parse_named_folder(text)
         label, at, subject = name.partition("@")
+        label, subject = clean_name(label), clean_name(subject)
         if at and subject not in known:
             raise InputError(
                 f"--pred-as {text}: no subject {subject!r}{nearest(subject, known)}; known are {', '.join(known)}"
@@ -167,7 +172,7 @@ def evaluation_folder(pictures: Pictures, options: Options, protocol: Protocol) 
         return own.with_name(f"{own.name}-evaluation") / "eval" / protocol.id
     if options.folders.pred is not None:
         return options.output / "eval" / protocol.id
-    name = re.sub(r"[^A-Za-z0-9._-]", "-", f"{pictures.capture.subject}-{pictures.label}")
+    name = file_stem(f"{pictures.capture.subject}-{pictures.label}")
     return options.output / "pictures" / name / "eval" / protocol.id
 
 
@@ -220,13 +225,14 @@ def _copy_pictures(
 
     def copy(number: int, size: tuple[int, int]) -> Path:
         target = home / FOLDERS[0] / f"{number:06d}{files[number].suffix.lower()}"
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         for old in target.parent.glob(f"{number:06d}.*"):
             old.unlink()
-        shutil.copyfile(files[number], target)
+        content = read_file(files[number], MAX_IMAGE_BYTES, "an image")
+        write_atomically(target, lambda stream: stream.write(content), durable=False)
         return target
 
     filled = fill_frames(home, task, capture, copy, digests, progress)
     if not filled.summary["complete"]:
-        write_json(home / SUMMARY, {**filled.summary, "complete": True})
+        write_sealed_json(home / SUMMARY, {**filled.summary, "complete": True})
     return filled

@@ -20,7 +20,7 @@ from evaluate.scoring.scored_frames import ScoredFrames, choose_frames, ground_t
 from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
-from ggavatar.io.json_files import write_json
+from ggavatar.io.json_files import write_sealed_json
 from ggavatar.training.run_folder import Run
 
 
@@ -115,7 +115,7 @@ def predict_frames(run: Renderable, task: PredictionTask, folder: Path, progress
     if not filled.written and filled.summary["complete"]:
         return filled
     summary = {**filled.summary, **_measured(run.avatar, seconds, counts), "complete": True}
-    write_json(folder / SUMMARY, summary)
+    write_sealed_json(folder / SUMMARY, summary)
     return dataclasses.replace(filled, summary=summary)
 
 

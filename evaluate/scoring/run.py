@@ -16,6 +16,7 @@ from evaluate.scoring.scored_frames import at_capture_resolution
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.render.backends import resolve_device
+from ggavatar.text.names import clean_text
 from ggavatar.training.run_folder import Run, open_run, read_config
 
 
@@ -90,7 +91,7 @@ def _labels(run: Run, summary: dict[str, Any], capture_sha256: str) -> Labels:
     }
     setup = setup_of_run(run)
     if "file" in run.provenance:
-        origin = f"opened from {run.provenance['file']}; its training frames are not known"
+        origin = clean_text(f"opened from {run.provenance['file']}; its training frames are not known")
         return Labels(run.capture.subject, run.method, None, costs, where, (origin,), setup)
     notes: tuple[str, ...] = ()
     if not run.provenance.get("finished", True):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from evaluate.protocols.setup import Setup
+from ggavatar.text.names import clean_text, clean_values
 from ggavatar.training.changed_settings import changed_settings
 from ggavatar.training.run_folder import Run
 
@@ -15,7 +16,8 @@ def setup_of_run(run: Run) -> Setup:
     if "file" in run.provenance:
         return Setup("gaussian file")
     features = perceptual_features(run.provenance, run.config.method_config)
-    return Setup("run", run.config.method, run.config.preset, run.step, features, changed_settings(run.config))
+    changed = clean_values(dict(changed_settings(run.config)))
+    return Setup("run", run.config.method, clean_text(run.config.preset), run.step, clean_text(features), changed)
 
 
 def perceptual_features(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:

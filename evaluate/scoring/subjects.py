@@ -9,6 +9,7 @@ from evaluate.protocols.results import METRICS_FILE, read_results
 from evaluate.scoring.pictures import find_pictures
 from ggavatar.data.capture import Capture
 from ggavatar.formats.source_options import is_gaussian_file
+from ggavatar.text.names import clean_name
 from ggavatar.training.run_folder import find_capture, read_config
 
 
@@ -19,7 +20,7 @@ def subjects_of(options: Options) -> list[str]:
         InputError: A run, a capture or a result cannot be read.
     """
     if options.folders.gt is not None:
-        return [options.folders.subject or options.folders.gt.resolve().parent.name]
+        return [options.folders.subject or clean_name(options.folders.gt.resolve().parent.name)]
     found = [_subject(path, options) for path in options.runs]
     if options.folders.pred is not None or options.folders.pred_as:
         found += [options.folders.subject or one.capture.subject for one in find_pictures(options)]

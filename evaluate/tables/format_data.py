@@ -5,12 +5,11 @@ The csv module rather than DataFrame.to_csv: importing pandas takes 0.5 s, more 
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Sequence
 
-from evaluate.tables.table import Table
+from evaluate.escaping.csv_cells import csv_text
+from evaluate.tables.table import Cell, Column, Row, Table
+from ggavatar.io.json_files import readable_json
 
 KEYS = ("table", "section", "row", "group", "column")
 FIELDS = (*KEYS, "value", "deviation_over_seeds", "text", "mark", "reason", "protocol", "setup")
@@ -18,16 +17,21 @@ FIELDS = (*KEYS, "value", "deviation_over_seeds", "text", "mark", "reason", "pro
 
 def to_csv(tables: Sequence[Table]) -> str:
     """CSV with one line per cell."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(FIELDS)
-    for table in tables:
-        for row in table.rows:
-            for column, cell in zip(table.columns, row.cells, strict=True):
-                numbers = ["" if value is None else repr(value) for value in (cell.value, cell.deviation)]
-                keys = [table.name, row.section, row.label, column.group, column.title]
-                writer.writerow([*keys, *numbers, cell.text, cell.mark, cell.reason, table.protocol, cell.setup])
-    return stream.getvalue()
+    lines = (
+        (*_keys(table, row, column), cell.value, cell.deviation, *_words(cell), table.protocol, cell.setup)
+        for table in tables
+        for row in table.rows
+        for column, cell in zip(table.columns, row.cells, strict=True)
+    )
+    return csv_text([FIELDS, *lines])
+
+
+def _keys(table: Table, row: Row, column: Column) -> tuple[str, ...]:
+    return table.name, row.section, row.label, column.group, column.title
+
+
+def _words(cell: Cell) -> tuple[str, ...]:
+    return cell.text, cell.mark, cell.reason
 
 
 def to_json(tables: Sequence[Table], results: Sequence[str] = ()) -> str:
@@ -43,4 +47,4 @@ def to_json(tables: Sequence[Table], results: Sequence[str] = ()) -> str:
         "results": list(results),
         "tables": [table.as_dict() for table in tables],
     }
-    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    return readable_json(content, indent=1) + "\n"

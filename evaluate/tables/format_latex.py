@@ -7,9 +7,9 @@ leaves arrows and other symbols unescaped (tried on Table 1).
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterator, Sequence
 
+from evaluate.escaping.latex import latex_text
 from evaluate.tables.table import BEST, SECOND, Cell, Row, Table
 
 PREAMBLE = r"""% \usepackage[T1]{fontenc} \usepackage[utf8]{inputenc} \usepackage[table]{xcolor} \usepackage{graphicx}
@@ -29,39 +29,12 @@ SCALE_BOXES = (
 """Boxes that scale their content down to the width and most of the height of a page, but never up."""
 
 COLORS = {BEST: "red!25", SECOND: "yellow!25"}
-ESCAPES = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "–": "--",
-    "…": r"\ldots{}",
-    "±": r"$\pm$",
-    "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$",
-    "σ": r"$\sigma$",
-    "Δ": r"$\Delta$",
-    "−": "$-$",
-    "×": r"$\times$",
-    "†": r"$\dagger$",
-    "≥": r"$\geq$",
-    "≤": r"$\leq$",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "[": "{[}",
-    "*": "{*}",
-}
 
 
 def to_latex(tables: Sequence[Table]) -> str:
     """Table environments one after the other; a comment lists the required packages."""
-    return PREAMBLE + "\n".join(_table(part) for table in tables for part in _parts(table))
+    escaped = (table.with_texts(latex_text) for table in tables)
+    return PREAMBLE + "\n".join(_table(part) for table in escaped for part in _parts(table))
 
 
 def _parts(table: Table) -> Iterator[Table]:
@@ -87,7 +60,7 @@ def _table(table: Table) -> str:
         "    \\hline",
     ]
     lines += [*_body(table), "    \\hline\\hline", "  \\end{tabular}}}"]
-    lines += [rf"  \par\smallskip{{\footnotesize\raggedright {escaped(note)}\par}}" for note in table.notes]
+    lines += [rf"  \par\smallskip{{\footnotesize\raggedright {note}\par}}" for note in table.notes]
     return "\n".join([*lines, f"\\end{{{environment}}}", ""])
 
 
@@ -95,7 +68,7 @@ def _caption(table: Table) -> str:
     """The caption, followed by the color key if any cell is marked."""
     colored = any(cell.mark for row in table.rows for cell in row.cells)
     key = r" \colorbox{red!25}{Red} indicates the best and \colorbox{yellow!25}{yellow} indicates the second."
-    return escaped(table.caption) + (key if colored else "")
+    return table.caption + (key if colored else "")
 
 
 def _alignment(table: Table) -> str:
@@ -107,12 +80,12 @@ def _alignment(table: Table) -> str:
 def _heading(table: Table) -> list[str]:
     lines = []
     if spans := table.groups:
-        cells = [rf"\multicolumn{{1}}{{c|}}{{{escaped(table.group_corner)}}}"]
+        cells = [rf"\multicolumn{{1}}{{c|}}{{{table.group_corner}}}"]
         for place, (name, span) in enumerate(spans):
             rule = "" if place == len(spans) - 1 else "|"
-            cells.append(rf"\multicolumn{{{span}}}{{c{rule}}}{{{escaped(name)}}}")
+            cells.append(rf"\multicolumn{{{span}}}{{c{rule}}}{{{name}}}")
         lines += [f"    {' & '.join(cells)} \\\\", "    \\hline"]
-    titles = [rf"\multicolumn{{1}}{{c|}}{{{escaped(table.corner)}}}", *(escaped(c.title) for c in table.columns)]
+    titles = [rf"\multicolumn{{1}}{{c|}}{{{table.corner}}}", *(c.title for c in table.columns)]
     return [*lines, f"    {' & '.join(titles)} \\\\"]
 
 
@@ -123,7 +96,7 @@ def _body(table: Table) -> list[str]:
         if row.section and row.section != section:
             span = len(table.columns) + 1
             lines += ["    \\hline"] if lines else []
-            lines += [rf"    \multicolumn{{{span}}}{{c}}{{\textit{{{escaped(row.section)}}}}} \\", "    \\hline"]
+            lines += [rf"    \multicolumn{{{span}}}{{c}}{{\textit{{{row.section}}}}} \\", "    \\hline"]
             section = row.section
         lines += ["    \\hline"] if row.rule and lines else []
         lines.append(f"    {_row(row)} \\\\")
@@ -131,19 +104,9 @@ def _body(table: Table) -> list[str]:
 
 
 def _row(row: Row) -> str:
-    return " & ".join([escaped(row.label), *(_cell(cell) for cell in row.cells)])
+    return " & ".join([row.label, *(_cell(cell) for cell in row.cells)])
 
 
 def _cell(cell: Cell) -> str:
-    text = escaped(cell.text)
+    text = cell.text
     return rf"\cellcolor{{{COLORS[cell.mark]}}}{text}" if cell.mark else text
-
-
-def escaped(text: str) -> str:
-    """Text with TeX's special characters escaped and a true minus sign before numbers.
-
-    Characters that pdfTeX's fonts lack (anything beyond Latin letters) become question marks, so that the file
-    compiles.
-    """
-    signed = re.sub(r"(?<![\w-])-(?=\d)", "−", text)
-    return "".join(ESCAPES.get(character, character if ord(character) < 0x180 else "?") for character in signed)

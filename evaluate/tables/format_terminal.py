@@ -11,6 +11,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from evaluate.tables.table import BEST, SECOND, Cell, Column, Table
+from ggavatar.text.terminal import printable
 
 STYLES = {BEST: "bold red", SECOND: "yellow"}
 SIGNS = {BEST: "*", SECOND: "'"}
@@ -20,6 +21,7 @@ PADDING, EDGES = 3, 2
 
 def show(table: Table, console: Console) -> None:
     """Print a table with its notes; one wider than the console is split into several parts, never truncated."""
+    table = table.with_texts(printable)
     colors = console.color_system is not None and not console.no_color
     console.print(Text(table.caption, style="bold"))
     for indices in column_chunks(table, console.width):

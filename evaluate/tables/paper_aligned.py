@@ -12,6 +12,7 @@ from evaluate.tables.paper import METRICS, UNSTATED, Published, metric_family, o
 from evaluate.tables.study import Study
 from evaluate.tables.table import Cell, Column, Row, Table, missing_cell, number_cell, rank_across, rank_down
 from ggavatar.errors import InputError, nearest
+from ggavatar.text.names import clean_name
 
 MARK = "†"
 REASON = "printed in the paper; its protocol is not stated"
@@ -32,6 +33,7 @@ def parse_paper_subjects(texts: Sequence[str], subjects: Sequence[str]) -> dict[
     found = {}
     for part in (part.strip() for text in texts for part in text.split(",")):
         ours, equals, theirs = part.rpartition("=")
+        ours = clean_name(ours)
         number = re.fullmatch(r"(?:ID)?\s*(\d+)", theirs.strip(), re.IGNORECASE)
         name = f"ID {int(number[1])}" if number else theirs
         if not equals or name not in known:

@@ -81,9 +81,6 @@ def _joined(words: Sequence[str]) -> str:
 
 def _method_notes(study: Study) -> list[str]:
     """Notes of the methods' files, such as deviations from the paper, each once."""
-    found = []
-    for evaluation in study.evaluations:
-        if evaluation.setup.method is not None:
-            label = display_name(evaluation.method)
-            found += [f"{label}: {note}" for note in table_notes(evaluation.setup.method)]
+    named = dict.fromkeys((display_name(e.method), e.setup.method) for e in study.evaluations)
+    found = (f"{label}: {note}" for label, method in named if method is not None for note in table_notes(method))
     return list(dict.fromkeys(found))

@@ -7,8 +7,8 @@ rows, group rules and notes that Styler has no notion of, and importing pandas t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 Value = float | None
@@ -59,6 +59,10 @@ class Cell:
     reason: str = ""
     source: CellSource | None = None
     setup: str = ""
+
+    def with_texts(self, change: Callable[[str], str]) -> Cell:
+        """The cell with its text, reason and setup changed."""
+        return replace(self, text=change(self.text), reason=change(self.reason), setup=change(self.setup))
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,29 @@ class Table:
             else:
                 spans.append((column.group, 1))
         return spans if any(column.group for column in self.columns) else []
+
+    def with_texts(self, change: Callable[[str], str]) -> Table:
+        """The table with every printed text changed, for example escaped for an output format."""
+        columns = (replace(column, title=change(column.title), group=change(column.group)) for column in self.columns)
+        rows = (
+            replace(
+                row,
+                label=change(row.label),
+                cells=tuple(cell.with_texts(change) for cell in row.cells),
+                section=change(row.section),
+            )
+            for row in self.rows
+        )
+        return replace(
+            self,
+            caption=change(self.caption),
+            corner=change(self.corner),
+            columns=tuple(columns),
+            rows=tuple(rows),
+            notes=tuple(map(change, self.notes)),
+            group_corner=change(self.group_corner),
+            protocol=change(self.protocol),
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON values."""

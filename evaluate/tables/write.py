@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from evaluate.escaping.file_names import file_stem
 from evaluate.protocols.results import Evaluation, to_json
 from evaluate.tables import format_data, format_html, format_latex, format_markdown
 from evaluate.tables.comparison import ablation_table, subjects_table
@@ -80,7 +80,7 @@ def write_copies(evaluations: Sequence[Evaluation], folder: Path) -> list[Path]:
     """Write copies of the results behind a table into its folder, under the labels of the table, and return them."""
     paths = []
     for place, evaluation in enumerate(evaluations):
-        name = re.sub(r"[^A-Za-z0-9._-]", "-", f"{place:02d}-{evaluation.subject}-{evaluation.method}")
-        paths.append(folder / "results" / f"{name[:80]}.json")
+        name = file_stem(f"{place:02d}-{evaluation.subject}-{evaluation.method}")
+        paths.append(folder / "results" / f"{name}.json")
         write_text(paths[-1], to_json(evaluation.as_dict()))
     return paths

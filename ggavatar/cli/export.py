@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,8 @@ from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 from ggavatar.formats.splats.file_kinds import SUFFIXES
 from ggavatar.formats.web.options import WebOptions
+from ggavatar.io.held_folders import hold_folder
+from ggavatar.text.terminal import write_out
 
 if TYPE_CHECKING:
     from ggavatar.training.run_folder import Run
@@ -52,6 +55,8 @@ class Arguments:
     drive: Path | None = None
     """Export every row of an .npz of head parameters (as for ggavatar-render --drive, or a flame_param.npz); web: a
     performance to play, a capture folder or such a file, carried over as ggavatar-render --drive does."""
+    capture: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Where the capture of a run is now, if it was moved away from the run."""
     step: int | None = None
     """Step of the checkpoint; the newest if not given."""
     device: str = "auto"
@@ -76,11 +81,13 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-export; returns the exit code (0 success, 1 failure, 2 invalid input)."""
-    given = None if arguments is None else list(arguments)
-    config = (tyro.conf.FlagCreatePairsOff,)
+    return run_command(lambda: _export(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(given: list[str] | None) -> Arguments:
     handle_version_flag("ggavatar-export", given)
-    parsed = tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
-    return run_command(lambda: _export(parsed))
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
 
 
 def _description() -> str:
@@ -103,14 +110,22 @@ def _export(arguments: Arguments) -> int:
     _check_suffix(arguments)
     if arguments.web != WebOptions() and kind != WEB:
         raise InputError(f"--format {kind}: options of web pages belong to --format {WEB}; leave them out")
-    if kind == SUBMISSION:
-        lines = _export_submission(arguments)
-    elif is_gaussian_file(arguments.source):
-        lines = _export_file(arguments)
-    else:
-        lines = _export_run(arguments) if kind in RUN_FORMATS else _export_capture(arguments)
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+    exporter = _exporter(arguments)
+    if arguments.capture is not None and exporter is not _export_run:
+        raise InputError(f"{arguments.source}: --capture belongs to a run, found another source; leave it out")
+    with hold_folder(arguments.source) if arguments.source.is_dir() else contextlib.nullcontext():
+        lines = exporter(arguments)
+    write_out(*lines)
     return 0
+
+
+def _exporter(arguments: Arguments) -> Callable[[Arguments], list[str]]:
+    """What writes the format, from the kind of source."""
+    if arguments.kind == SUBMISSION:
+        return _export_submission
+    if is_gaussian_file(arguments.source):
+        return _export_file
+    return _export_run if arguments.kind in RUN_FORMATS else _export_capture
 
 
 def _check_suffix(arguments: Arguments) -> None:
@@ -200,9 +215,10 @@ def _export_run(arguments: Arguments) -> list[str]:
     from ggavatar.head.files import load_head
     from ggavatar.render.backends import resolve_device
     from ggavatar.training.run_folder import open_run
+    from ggavatar.training.same_capture import change_since_training
 
     device = resolve_device(arguments.device)
-    run = open_run(arguments.source, device, arguments.step)
+    run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
     if arguments.kind == WEB:
         return _export_page(arguments, run)
     head = load_head(run.capture.head_path).to(device, torch.float32)
@@ -219,7 +235,8 @@ def _export_run(arguments: Arguments) -> list[str]:
     else:
         result = export_splats(run, drives, arguments.kind, path, arguments.overwrite)
         following = _next_step_for_splats(path, arguments.kind, len(drives))
-    notes = [f"note: {note}" for note in (*result.notes, *_renderer_notes(run.method))]
+    changed = [change] if (change := change_since_training(run)) else []
+    notes = [f"note: {note}" for note in (*changed, *result.notes, *_renderer_notes(run.method))]
     return [f"wrote {result.path} ({_size_text(len(drives), result.gaussians)})", *notes, f"next: {following}"]
 
 

@@ -15,6 +15,7 @@ from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError
 from ggavatar.pretrained.catalogue import MODELS, Model
 from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable, files_of, model_named
+from ggavatar.text.terminal import write_err, write_out
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,12 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-models; returns the exit code (0 success, 1 failure, 2 missing or damaged file)."""
-    given = None if arguments is None else list(arguments)
+    return run_command(lambda: _models(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(given: list[str] | None) -> Arguments:
     handle_version_flag("ggavatar-models", given)
-    parsed = tyro.cli(Arguments, prog="ggavatar-models", args=given, config=(tyro.conf.FlagCreatePairsOff,))
-    return run_command(lambda: _models(parsed))
+    return tyro.cli(Arguments, prog="ggavatar-models", args=given, config=(tyro.conf.FlagCreatePairsOff,))
 
 
 def _models(arguments: Arguments) -> int:
@@ -49,25 +52,26 @@ def _models(arguments: Arguments) -> int:
     if arguments.verify:
         problems += [problem for name in MODELS if (problem := _verify(finder, name))]
     if not names and not arguments.verify:
-        sys.stdout.write("".join(_entry(finder, name, model) for name, model in MODELS.items()))
+        write_out(*(line for name, model in MODELS.items() for line in _entry(finder, name, model)))
     sys.stdout.flush()
+    write_err(*(f"error: {problem}" for problem in problems[:-1]))
     if problems:
-        raise InputError("\nerror: ".join(problems))
+        raise InputError(problems[-1])
     return 0
 
 
-def _entry(finder: ModelFinder, name: str, model: Model) -> str:
+def _entry(finder: ModelFinder, name: str, model: Model) -> tuple[str, str]:
     """Two lines on a model: where it is or how to get it, and what it is for."""
     here = files_of(model, finder.folders)
     size = here[0].stat().st_size if here else model.versions[0].size
     where = str(here[0]) if here else f"missing; ggavatar-models --fetch {name}"
-    return f"{name:<20}{size / 1e6:7.1f} MB  {model.license:<28}{where}\n{'':<32}{model.purpose}\n"
+    return f"{name:<20}{size / 1e6:7.1f} MB  {model.license:<28}{where}", f"{'':<32}{model.purpose}"
 
 
 def _fetch(finder: ModelFinder, name: str) -> str | None:
     """Find or fetch a model and print its path; returns what is wrong."""
     try:
-        sys.stdout.write(f"{name}: {finder.find(name)}\n")
+        write_out(f"{name}: {finder.find(name)}")
     except InputError as error:
         return str(error)
     return None
@@ -76,14 +80,14 @@ def _fetch(finder: ModelFinder, name: str) -> str | None:
 def _verify(finder: ModelFinder, name: str) -> str | None:
     """Verify the file of a model that the search finds and print the result; returns what is wrong."""
     if not files_of(MODELS[name], finder.folders):
-        sys.stdout.write(f"{name}: missing\n")
+        write_out(f"{name}: missing")
         return None
     try:
-        sys.stdout.write(f"{name}: verified, {finder.find(name)}\n")
+        write_out(f"{name}: verified, {finder.find(name)}")
     except ModelUnavailable:
         raise
     except InputError as error:
-        sys.stdout.write(f"{name}: damaged\n")
+        write_out(f"{name}: damaged")
         return str(error)
     return None
 

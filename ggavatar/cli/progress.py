@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from ggavatar.text.terminal import write_err
 from ggavatar.training.progress import PLAIN_INTERVAL, RateMeter, format_duration
 
 ProgressCallback = Callable[[int, int], None]
@@ -43,10 +44,10 @@ def _plain_lines(title: str) -> ProgressCallback:
             meter = RateMeter(max(done - 1, 0), started)
         now = time.monotonic()
         if done == total:
-            sys.stderr.write(f"{title} {done}/{total} in {format_duration(now - started)}\n")
+            write_err(f"{title} {done}/{total} in {format_duration(now - started)}")
         elif now - last_output >= PLAIN_INTERVAL:
             last_output = now
-            sys.stderr.write(" · ".join((f"{title} {done}/{total}", *meter.describe(done, total))) + "\n")
+            write_err(" · ".join((f"{title} {done}/{total}", *meter.describe(done, total))))
         sys.stderr.flush()
 
     return show

@@ -23,8 +23,11 @@ from tyro.conf import Positional, UseAppendAction, arg
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError
+from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.held_folders import make_folder
 from ggavatar.sweeps.backends import Backend, CellTraining, LocalProcesses, Outcome, RayCluster
 from ggavatar.sweeps.cell import Cell, find_console_script, train_cell
+from ggavatar.text.terminal import write_err, write_out
 from ggavatar.training import registry
 
 PASSED_ON = ("preset", "steps", "split", "device", "background", "max_gaussians")
@@ -75,9 +78,12 @@ class Arguments:
 
 def main() -> int:
     """Entry point of ggavatar-sweep."""
+    return run_command(lambda: sweep(_parse()))
+
+
+def _parse() -> Arguments:
     handle_version_flag("ggavatar-sweep")
-    arguments = tyro.cli(Arguments, prog="ggavatar-sweep")
-    return run_command(lambda: sweep(arguments))
+    return tyro.cli(Arguments, prog="ggavatar-sweep")
 
 
 def sweep(arguments: Arguments) -> int:
@@ -85,11 +91,17 @@ def sweep(arguments: Arguments) -> int:
     backend = make_backend(arguments)
     cells = grid(arguments)
     check(arguments, cells)
+    make_folder(arguments.output)
+    with lock_folder(arguments.output):
+        return _train_and_evaluate(cells, arguments, backend)
+
+
+def _train_and_evaluate(cells: Sequence[Cell], arguments: Arguments, backend: Backend) -> int:
     outcomes = _train_all(cells, arguments, backend)
     if EXIT_INTERRUPTED in {outcome.code for outcome in outcomes}:
         return EXIT_INTERRUPTED
     trained = [cell.folder for cell in cells if cell.is_finished]
-    sys.stdout.write(f"{len(trained)} of {len(cells)} cells trained in {arguments.output}\n")
+    write_out(f"{len(trained)} of {len(cells)} cells trained in {arguments.output}")
     sys.stdout.flush()
     evaluated = _evaluate(trained, arguments) if trained and not arguments.train_only else 0
     return EXIT_FAILURE if len(trained) < len(cells) else evaluated
@@ -140,10 +152,10 @@ def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) ->
     missing = {}
     for cell in cells:
         if cell.is_finished:
-            sys.stdout.write(f"already finished: {cell.folder}\n")
+            write_out(f"already finished: {cell.folder}")
         else:
             missing[str(cell.folder)] = cell
-    sys.stdout.write(f"{len(missing)} of {len(cells)} cells to train\n")
+    write_out(f"{len(missing)} of {len(cells)} cells to train")
     sys.stdout.flush()
     outcomes = []
     trainings = [CellTraining(name, functools.partial(train_cell, cell, *settings)) for name, cell in missing.items()]
@@ -156,7 +168,7 @@ def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) ->
 def _report(outcome: Outcome, cell: Cell, done: int, total: int) -> None:
     """Print one line about a cell, on stderr if it failed."""
     if outcome.code == 0 and cell.is_finished:
-        sys.stdout.write(f"{done} of {total}: trained {cell.folder}\n")
+        write_out(f"{done} of {total}: trained {cell.folder}")
         sys.stdout.flush()
         return
     tries = f" after {outcome.attempts} attempts" if outcome.attempts > 1 else ""
@@ -164,7 +176,7 @@ def _report(outcome: Outcome, cell: Cell, done: int, total: int) -> None:
     if outcome.code == 0:
         failure = "trained on another machine, but its run is not found here (all machines must share the folder of -o)"
     detail = f" ({outcome.reason})" if outcome.reason else f"; see {cell.log}"
-    sys.stderr.write(f"{failure}: {cell.folder}{detail}\n")
+    write_err(f"{failure}: {cell.folder}{detail}")
 
 
 def grid(arguments: Arguments) -> list[Cell]:

@@ -16,6 +16,7 @@ from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 from ggavatar.pretrained.folders import export_choice
+from ggavatar.text.terminal import write_err, write_out
 from ggavatar.training import registry
 
 
@@ -65,9 +66,12 @@ class Arguments:
 
 def train() -> int:
     """Entry point of ggavatar-train."""
+    return run_command(lambda: _train(_parse()))
+
+
+def _parse() -> Arguments:
     handle_version_flag("ggavatar-train")
-    arguments = tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
-    return run_command(lambda: _train(arguments))
+    return tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
 
 
 def _description() -> str:
@@ -86,13 +90,13 @@ def _train(arguments: Arguments) -> int:
         step = train_run(arguments.capture, arguments.output, options_of(arguments), arguments.quiet)
     except TrainingInterrupted as stop:
         command = f"ggavatar-train {arguments.capture} -o {arguments.output} --resume"
-        sys.stderr.write(f"stopped and saved at step {stop.step}; resume with: {command}\n")
+        write_err(f"stopped and saved at step {stop.step}; resume with: {command}")
         return EXIT_TERMINATED if stop.signal == signal.SIGTERM else EXIT_INTERRUPTED
     except TrainingError as error:
-        sys.stderr.write(f"error: {error}\n")
+        write_err(f"error: {error}")
         return EXIT_FAILURE
     if not arguments.quiet:
-        sys.stdout.write(f"wrote {arguments.output} ({step} steps)\nnext: ggavatar-eval {arguments.output} --table\n")
+        write_out(f"wrote {arguments.output} ({step} steps)", f"next: ggavatar-eval {arguments.output} --table")
     return 0
 
 

@@ -6,6 +6,8 @@ import importlib.metadata
 import sys
 from collections.abc import Sequence
 
+from ggavatar.text.terminal import write_out
+
 
 def handle_version_flag(program: str, arguments: Sequence[str] | None = None) -> None:
     """Print the program's name and version and exit with code 0 if `--version` is among its arguments.
@@ -15,5 +17,5 @@ def handle_version_flag(program: str, arguments: Sequence[str] | None = None) ->
         arguments: Its arguments; those of the command line by default.
     """
     if "--version" in (sys.argv[1:] if arguments is None else arguments):
-        sys.stdout.write(f"{program} {importlib.metadata.version('ggavatar')}\n")
+        write_out(f"{program} {importlib.metadata.version('ggavatar')}")
         raise SystemExit(0)

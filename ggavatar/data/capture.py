@@ -29,6 +29,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.npz import write_npz
+from ggavatar.text.names import clean_name
 
 DESCRIPTION, TRACKING, HEAD, IMAGES, MASKS = "capture.json", "tracking.npz", "head.npz", "images", "masks"
 
@@ -120,7 +121,7 @@ class Capture:
         )
         capture = Capture(
             folder=folder,
-            subject=described["subject"],
+            subject=clean_name(described["subject"]),
             width=described["width"],
             height=described["height"],
             fps=float(described["fps"]),

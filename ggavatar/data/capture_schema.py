@@ -10,7 +10,6 @@ these frames), pydantic or msgspec would be a new dependency, and would add 28 t
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -22,7 +21,7 @@ import numpy as np
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.images import image_header
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, readable_json
 from ggavatar.io.npz import npz_headers, read_npz
 
 SCHEMA, VERSION = "ggavatar-capture", 1
@@ -164,7 +163,7 @@ def write_description(path: Path, fields: Mapping[str, Any]) -> None:
 
     Unlike `write_json` it keeps non-ASCII text, and the bytes of existing captures, on which their digests depend.
     """
-    text = json.dumps({"schema": SCHEMA, "version": VERSION, **fields}, ensure_ascii=False, indent=1, allow_nan=False)
+    text = readable_json({"schema": SCHEMA, "version": VERSION, **fields}, indent=1)
     write_text(path, text)
 
 

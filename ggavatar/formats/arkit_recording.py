@@ -20,6 +20,7 @@ from jaxtyping import Float
 from ggavatar.errors import InputError
 from ggavatar.io.json_files import read_json
 from ggavatar.io.npz import read_npz
+from ggavatar.io.regular_files import open_regular, regular_size
 
 _SIDED = """
 eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp eyeSquint eyeWide mouthSmile mouthFrown mouthDimple mouthStretch
@@ -36,8 +37,9 @@ ARKIT_NAMES = tuple(
 
 HEAD_ANGLES = ("headYaw", "headPitch", "headRoll")
 DEFAULT_FPS = 30.0
-MAX_ROWS = 1_000_000
-MAX_CSV_BYTES = 1 << 28
+MAX_ROWS, MAX_COLUMNS, MAX_NUMBERS = 1_000_000, 1000, 14_000_000
+"""An hour at 60 frames per second has 216,000 rows and 13 million numbers."""
+MAX_CSV_BYTES, MAX_LINE = 1 << 28, 1 << 16
 MINIMUM_NAMES = 20
 """Fewest of the 52 names that make a recording; fewer are something else with a jawOpen in it."""
 
@@ -126,9 +128,7 @@ class _Table:
 
 def _table(path: Path) -> _Table:
     """The rows of a file of any of the three kinds, told apart by its first bytes."""
-    if path.is_dir() or not path.exists():
-        raise InputError(f"{path}: expected a file with ARKit scores, found {'a folder' if path.is_dir() else 'none'}")
-    with path.open("rb") as stream:
+    with open_regular(path, "a file with ARKit scores") as stream:
         head = stream.read(64).lstrip(b"\xef\xbb\xbf \r\n\t")
     if head[:2] == b"PK":
         table = _npz_table(path)
@@ -172,40 +172,66 @@ def _usable(times: np.ndarray, scores: np.ndarray, head: np.ndarray | None, note
 
 def _csv_table(path: Path) -> _Table:
     """Live Link Face's CSV, or one with a time or frame column and ARKit's names."""
-    if path.stat().st_size > MAX_CSV_BYTES:
-        raise InputError(f"{path}: expected at most {MAX_CSV_BYTES >> 20} MiB of scores; cut the take")
+    regular_size(path, "a take", MAX_CSV_BYTES)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        rows = list(_csv_rows(text))
+        with open_regular(path) as stream, io.TextIOWrapper(stream, "utf-8-sig", newline="") as text:
+            names, codes, values = _csv_columns(text)
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: expected a CSV, JSON or npz file with ARKit scores ({error})") from error
-    if len(rows) < 2:
-        raise InputError(f"{path}: expected a line of names and lines of scores, found {len(rows)} lines")
-    names = tuple(rows[0])
-    body = [row for row in rows[1:] if any(row)]
-    values = np.array(
-        [[_number(row[index]) if index < len(row) else np.nan for index in range(len(names))] for row in body]
-    )
-    keys = {re.sub(r"[^a-z]", "", name.lower()): index for index, name in reversed(list(enumerate(names)))}
+    if not len(values):
+        raise InputError(
+            f"{path}: expected a line of names and lines of scores, found {int(bool(names))} lines; export it again"
+        )
+    keys = _keys(names)
     if "timecode" in keys:
-        texts = [row[keys["timecode"]] if keys["timecode"] < len(row) else "" for row in body]
-        return _Table(names, values, *_timecodes(path, texts))
+        return _Table(names, values, *_timecodes(path, codes))
     for name, unit in _TIME_COLUMNS.items():
         if name in keys:
             return _Table(names, values, values[:, keys[name]] * unit)
     return _Table(names, values, np.arange(len(values)) / DEFAULT_FPS, (_rate_note(),))
 
 
-def _csv_rows(text: str) -> Iterator[list[str]]:
-    for count, row in enumerate(csv.reader(io.StringIO(text))):
-        if count > MAX_ROWS or len(row) > 1000:
-            raise csv.Error("more rows or columns than a take has")
-        yield row
+def _keys(names: Sequence[str]) -> dict[str, int]:
+    """Columns by their names' letters; the first of several."""
+    return {re.sub(r"[^a-z]", "", name.lower()): index for index, name in reversed(list(enumerate(names)))}
+
+
+def _csv_rows(text: io.TextIOWrapper) -> Iterator[list[str]]:
+    """Rows of one line each, of bounded length."""
+    while line := text.readline(MAX_LINE):
+        if len(line) == MAX_LINE:
+            raise csv.Error(f"a line of {MAX_LINE} characters")
+        yield next(csv.reader([line]), [])
+
+
+def _csv_columns(text: io.TextIOWrapper) -> tuple[tuple[str, ...], list[str], Float[np.ndarray, "T C"]]:
+    """Names, the text of the time code of every row, and the numbers, which take eight bytes each and no more.
+
+    Raises:
+        csv.Error: More columns, rows or numbers than a take has, or what is no CSV.
+    """
+    rows = _csv_rows(text)
+    names = tuple(next(rows, ()))
+    if len(names) > MAX_COLUMNS:
+        raise csv.Error(f"more than {MAX_COLUMNS} columns")
+    code = _keys(names).get("timecode", len(names))
+    codes: list[str] = []
+    numbers: list[np.ndarray] = []
+    for row in rows:
+        if any(row):
+            codes.append(row[code] if code < len(row) else "")
+            values = np.full(len(names), np.nan)
+            for index, cell in enumerate(row[: len(names)]):
+                values[index] = _number(cell)
+            numbers.append(values)
+        if len(numbers) > min(MAX_ROWS, MAX_NUMBERS // max(len(names), 1)):
+            raise csv.Error("more rows than a take has")
+    return names, codes, np.array(numbers, np.float64).reshape(len(numbers), len(names))
 
 
 def _number(text: str) -> float:
     try:
-        return float(text)
+        return float(text) if text else np.nan
     except ValueError:
         return np.nan
 
@@ -243,8 +269,10 @@ def _json_table(path: Path) -> _Table:
         raise InputError(
             f"{path}: expected the names of the scores under 'names': lists of 52 differ in their order; add them"
         )
-    if not isinstance(frames, list) or not 1 <= len(frames) <= MAX_ROWS:
-        raise InputError(f"{path}: expected frames with 'weights' under 'frames', found none; export the take again")
+    if not isinstance(frames, list) or not 1 <= len(frames) <= min(MAX_ROWS, MAX_NUMBERS // max(len(names), 1)):
+        raise InputError(
+            f"{path}: expected frames with 'weights' under 'frames', found none or too many; export the take again"
+        )
     values = np.array([_weights(frame, len(names)) for frame in frames])
     times = np.array([_time(frame) for frame in frames])
     if np.isfinite(times).any():

@@ -7,7 +7,7 @@ from pathlib import Path
 from ggavatar.errors import InputError
 from ggavatar.formats.export import WRITERS, ExportResult, format_losses
 from ggavatar.formats.gaussian_files import read_gaussians
-from ggavatar.formats.output_folder import check_output_file
+from ggavatar.formats.output_folder import check_output_file, output_file
 from ggavatar.formats.source_options import GaussianReadingOptions
 
 
@@ -36,5 +36,6 @@ def convert(
             f"{source}: expected Gaussians in space for --format {kind}, found some bound to the triangles of a head "
             "(binding_0); only --format ply keeps the binding"
         )
-    WRITERS[kind](path, rows)
+    with output_file(path, overwrite):
+        WRITERS[kind](path, rows)
     return ExportResult(path, len(rows), (*rows.notes, *format_losses(kind, rows)))

@@ -13,7 +13,7 @@ from ggavatar.core import Drive
 from ggavatar.errors import InputError
 from ggavatar.formats.drives import NamedDrive
 from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, write_flame_parameters
-from ggavatar.formats.output_folder import atomic_folder, check_output_file
+from ggavatar.formats.output_folder import atomic_folder, check_output_file, output_file
 from ggavatar.formats.splats.gaussian_ply import full_degree, write_gaussian_ply
 from ggavatar.formats.splats.glb import write_glb
 from ggavatar.formats.splats.splat import write_splat
@@ -68,7 +68,8 @@ def export_splats(run: Run, drives: Sequence[NamedDrive], kind: str, path: Path,
     if len(drives) == 1:
         check_output_file(path, overwrite)
         rows = to_stored(run.avatar.gaussians(drives[0].drive))
-        write(path, rows)
+        with output_file(path, overwrite):
+            write(path, rows)
         return ExportResult(path, len(rows), tuple(format_losses(kind, rows)))
     with atomic_folder(path, overwrite) as folder:
         for name, drive in drives:

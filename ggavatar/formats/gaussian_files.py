@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 from ggavatar.errors import InputError
@@ -49,4 +50,5 @@ def digest(path: Path) -> str:
         return sha256_of(path)
     folder = path if path.is_dir() else path.parent
     files = sorted(file for file in folder.iterdir() if file.is_file())
-    return hashlib.sha256("".join(f"{file.name} {sha256_of(file)}\n" for file in files).encode()).hexdigest()
+    lines = (os.fsencode(file.name) + f" {sha256_of(file)}\n".encode() for file in files)
+    return hashlib.sha256(b"".join(lines)).hexdigest()

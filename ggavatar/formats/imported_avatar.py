@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from ggavatar.geometry.triangles import triangle_frames
 from ggavatar.head.files import load_head
 from ggavatar.head.flame import JOINT_NAMES, is_flame, load_flame
 from ggavatar.head.model import HeadModel
+from ggavatar.text.terminal import write_err
 
 BUFFERS = ("means", "quats", "scales", "opacities", "colors")
 DEFAULT_EXPRESSIONS = 100
@@ -104,7 +104,7 @@ def open_gaussians(
     """
     rows = read_gaussians(path, source)
     for note in rows.notes:
-        sys.stderr.write(f"note: {path}: {note}\n")
+        write_err(f"note: {path}: {note}")
     if rows.faces is None:
         given = "--head-model" if source.head_model else "--flame-params" if source.flame_params else ""
         if given:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO
 
 from ggavatar.errors import InputError, nearest
+from ggavatar.formats.output_folder import check_output_file, output_file
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.images import image_header, read_rgb
 
@@ -54,8 +55,7 @@ def write_submission(folder: Path, path: Path, overwrite: bool = False) -> Submi
         InputError: No such folders, a name that the benchmark does not have, a gap in the frames, images that are not
             512 × 512 px, cameras of a sequence that differ in length, or the zip exists already.
     """
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; add --overwrite or choose another file with -o")
+    check_output_file(path, overwrite)
     clips = _clips(folder)
     _check_lengths(folder, clips)
     names = {place: f"{place}.mp4" for place in clips}
@@ -67,7 +67,8 @@ def write_submission(folder: Path, path: Path, overwrite: bool = False) -> Submi
                 _encode(images, video)
                 archive.write(video, names[place])
 
-    write_atomically(path, write)
+    with output_file(path, overwrite):
+        write_atomically(path, write)
     expected = [f"{person}/{name}/cam_{camera}.mp4" for person in PERSONS for name in SEQUENCES for camera in CAMERAS]
     missing = tuple(name for name in expected if name not in names.values())
     return Submission(path, sum(map(len, clips.values())), tuple(names.values()), missing)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
-from ggavatar.head.axis_names import TRACKED_AXES, axis_names
+from ggavatar.head.axis_names import axis_names
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.model import HeadModel
 
 JAW_OPEN, JAW_SIDEWAYS, JAW_CLOSING = 0.45, 0.12, 0.25

@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from ggavatar.errors import InputError
 from ggavatar.head.array_shapes import describe_shape, shape_fits
+from ggavatar.head.expression_axes import names_without_file
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.npz import npz_headers, read_npz
@@ -21,7 +22,7 @@ from ggavatar.io.npz import npz_headers, read_npz
 MAX_VERTICES = 2_000_000
 _REAL = ("template", "expression_basis", "pose_basis", "eyelid_basis", "joint_regressor", "skinning_weights")
 _REQUIRED = (*_REAL, "faces", "parents", "joint_names", "version")
-_OPTIONAL = ("uv", "landmark_weights")
+_OPTIONAL = ("uv", "landmark_weights", "expression_names")
 _REGION = "region/"
 
 
@@ -34,8 +35,9 @@ def save_head(head: HeadModel, path: Path | str) -> None:
         "version": np.asarray(head.version),
     }
     arrays |= {_REGION + name: rows.cpu().numpy() for name, rows in head.regions.items()}
-    optional = {name: getattr(head, name) for name in _OPTIONAL}
+    optional = {"uv": head.uv, "landmark_weights": head.landmark_weights}
     arrays |= {name: value.detach().cpu().numpy() for name, value in optional.items() if value is not None}
+    arrays |= {"expression_names": np.asarray(head.expression_names)} if head.expression_names else {}
     write_atomically(Path(path), lambda stream: np.savez_compressed(stream, allow_pickle=False, **arrays))
 
 
@@ -68,6 +70,7 @@ def load_head(path: Path | str) -> HeadModel:
         regions=regions,
         uv=uv,
         landmark_weights=weights,
+        expression_names=check.expression_names(str(check.text("version", 0))),
     )
 
 
@@ -160,6 +163,15 @@ class _Checks:
         """Distinct joint names."""
         names = tuple(str(name) for name in self.text("joint_names", 1))
         self._require(len(set(names)) == len(names) == joints, "joint_names", f"{joints} distinct names")
+        return names
+
+    def expression_names(self, version: str) -> tuple[str, ...]:
+        """What the expression coefficients mean; older files of our tracker do not say it."""
+        count = self._arrays["expression_basis"].shape[2]
+        if "expression_names" not in self._arrays:
+            return names_without_file(version, count)
+        names = tuple(str(name) for name in self.text("expression_names", 1))
+        self._require(len(set(names)) == len(names) == count, "expression_names", f"{count} distinct names")
         return names
 
     def text(self, key: str, dimensions: int) -> ndarray:

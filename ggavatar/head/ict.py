@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from ggavatar.errors import InputError
 from ggavatar.head.model import HeadModel
 from ggavatar.head.still_joints import still_joint_regressor
+from ggavatar.io.regular_files import read_file
 
 NEUTRAL = "generic_neutral_mesh.obj"
 VERTICES = 26_719
@@ -90,6 +91,7 @@ def load_ict(path: Path, identity: Float[np.ndarray, " S"] | None = None) -> Hea
         joint_names=("root", "neck", "left_eye", "right_eye"),
         version="ict-facekit-1",
         regions={name: torch.arange(*rows) for name, rows in _PARTS.items()},
+        expression_names=EXPRESSIONS,
     )
 
 
@@ -121,9 +123,7 @@ def _identity(folder: Path, neutral: np.ndarray, identity: np.ndarray | None) ->
 def _content(path: Path) -> bytes:
     if not path.is_file():
         raise InputError(f"{path}: no such file; download the whole folder FaceXModel of ICT-FaceKit")
-    if path.stat().st_size > _MAX_OBJ_BYTES:
-        raise InputError(f"{path}: expected an OBJ file of at most {_MAX_OBJ_BYTES >> 20} MiB; download it again")
-    return path.read_bytes()
+    return read_file(path, _MAX_OBJ_BYTES, "an OBJ file")
 
 
 def _vertices(path: Path) -> Float[np.ndarray, "V 3"]:

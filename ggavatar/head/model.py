@@ -34,6 +34,7 @@ class HeadModel:
         regions: Named vertex sets, e.g. face, lips, mouth, eyes, scalp, ears, neck, shoulders; they may overlap.
         uv: Texture coordinates of every corner of every face in [0, 1], v upward.
         landmark_weights: Barycentric weights of landmarks; the region `landmarks` lists the corners of their triangles.
+        expression_names: What each expression coefficient means (`ggavatar.head.expression_axes`); empty if unknown.
     """
 
     template: Float[Tensor, "V 3"]
@@ -49,6 +50,7 @@ class HeadModel:
     regions: Mapping[str, Int[Tensor, " R"]] = field(default_factory=dict)
     uv: Float[Tensor, "F 3 2"] | None = None
     landmark_weights: Float[Tensor, "L 3"] | None = None
+    expression_names: tuple[str, ...] = ()
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> HeadModel:
         """The same head on another device and, for its floating-point arrays, in another dtype."""

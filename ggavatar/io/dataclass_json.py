@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, TypeVar
 
 from ggavatar.errors import InputError, nearest
+from ggavatar.io.json_files import parse_value
 
 T = TypeVar("T")
 
@@ -59,9 +60,9 @@ def override(config: T, assignments: Iterable[str], where: str) -> T:
 
 def _parse_value(text: str) -> Any:
     try:
-        return json.loads(text)
+        return parse_value(text)
     except ValueError:
-        return {"True": True, "False": False, "None": None}.get(text, text)
+        return {"True": True, "False": False, "None": None, "NaN": math.nan, "Infinity": math.inf}.get(text, text)
 
 
 def _finite_and_nonnegative(value: Any, where: str) -> Any:
@@ -93,7 +94,7 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
     if origin is dict and isinstance(value, dict):
         return value
     if hint is float and type(value) in (int, float):
-        return float(value)
+        return float(value)  # JSON's integers have at most 64 bits
     if type(value) is hint:
         return value
     raise InputError(f"{where}: expected {getattr(hint, '__name__', hint)}, found {value!r}")

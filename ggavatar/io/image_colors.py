@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
 from typing import NamedTuple
 
 from ggavatar.io.image_header import PNG_SIGNATURE
+from ggavatar.io.picture_bytes import png_chunks
 from ggavatar.pictures.color import (
     ColorConversion,
     ColorSpace,
@@ -21,6 +21,8 @@ from ggavatar.pictures.profiles import ProfileConversion, profile_conversion
 MAX_PROFILE_BYTES = 1 << 23
 """Largest ICC profile that is unpacked; printers' profiles have about 3 MB."""
 
+_STATEMENTS = (b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"tRNS")
+_MAX_SEGMENTS = 10_000
 _ICC_SIGNATURE = b"ICC_PROFILE\0"
 _DISPLAY_GAMMAS = (1.85, 2.45)
 """Exponents that are taken as sRGB: ffmpeg writes 1.96 for the camera curve of BT.709 into the images it extracts."""
@@ -78,7 +80,7 @@ def color_conversion(stated: StatedColors) -> ColorConversion | ProfileConversio
 
 def _png_colors(data: bytes) -> StatedColors:
     stated = StatedColors()
-    for kind, body in _png_chunks(data):
+    for kind, body in _png_statements(data).items():
         if kind == b"cICP" and len(body) == 4:
             stated = stated._replace(code_points=(body[0], body[1], body[3] == 1))
         elif kind == b"iCCP":
@@ -95,15 +97,15 @@ def _png_colors(data: bytes) -> StatedColors:
     return stated
 
 
-def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Kind and content of the chunks before the pixels."""
-    place = len(PNG_SIGNATURE)
-    while place + 8 <= len(data):
-        length, kind = int.from_bytes(data[place : place + 4], "big"), data[place + 4 : place + 8]
-        if kind in (b"IDAT", b"IEND"):
-            return
-        yield kind, data[place + 8 : place + 8 + length]
-        place += 12 + length
+def _png_statements(data: bytes) -> dict[bytes, bytes]:
+    """The first chunk of every kind before the pixels; the specification allows one of each that states colors."""
+    found: dict[bytes, bytes] = {}
+    for kind, start, end in png_chunks(data):
+        if kind == b"IDAT":
+            break
+        if kind in _STATEMENTS:
+            found.setdefault(kind, data[start:end])
+    return found
 
 
 def _unpacked_profile(body: bytes) -> bytes | None:
@@ -120,7 +122,9 @@ def _jpeg_colors(data: bytes) -> StatedColors:
     """The ICC profile in the APP2 segments of a JPEG file (ICC.1, annex B.4), and the number of its channels."""
     parts: dict[int, bytes] = {}
     place, channels = 2, 3
-    while place + 4 <= len(data) and data[place] == 0xFF:
+    for _ in range(_MAX_SEGMENTS):
+        if place + 4 > len(data) or data[place] != 0xFF:
+            break
         marker = data[place + 1]
         if marker == 0xFF:
             place += 1

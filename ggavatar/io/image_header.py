@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from ggavatar.errors import InputError
+from ggavatar.io.regular_files import open_regular
 from ggavatar.pictures.orientation import UPRIGHT, Orientation, exif_orientation
 
 MAX_PIXELS = 34_000_000
@@ -56,12 +57,8 @@ def image_header(path: Path) -> ImageHeader:
         InputError: No such file, neither PNG nor JPEG, damaged, empty or larger than `MAX_PIXELS`.
     """
     try:
-        with path.open("rb") as stream:
-            header = _parse_header(stream)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: expected an image, found a folder") from error
+        with open_regular(path, "an image") as stream:
+            header, size = _parse_header(stream), os.fstat(stream.fileno()).st_size
     except struct.error as error:
         raise InputError(f"{path}: the image header is truncated; copy or create the file again") from error
     if header is None:
@@ -72,7 +69,7 @@ def image_header(path: Path) -> ImageHeader:
             f"found {header.width}×{header.height} px; resize it"
         )
     decoded_bytes = header.width * header.height * header.channels * header.bit_depth // 8
-    if decoded_bytes > MAX_COMPRESSION_RATIO * (path.stat().st_size + 100):
+    if decoded_bytes > MAX_COMPRESSION_RATIO * (size + 100):
         raise InputError(
             f"{path}: the file is far too small for {header.width}×{header.height} px, so it is damaged; "
             "copy or create it again"

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import errno
 import io
+import lzma
+import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -21,6 +21,8 @@ from numpy.lib import format as npy
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
+from ggavatar.io.regular_files import read_file
+from ggavatar.io.zip_files import open_zip
 
 MAX_ARCHIVE_BYTES = 1 << 29
 """Largest sum of uncompressed arrays that is read from one archive (512 MiB).
@@ -28,13 +30,14 @@ MAX_ARCHIVE_BYTES = 1 << 29
 A FLAME model takes 100 MB, an hour of tracking 50 MB.
 """
 
-MAX_MEMBERS = 4096
-
 MALFORMED = (
     *(ValueError, TypeError, EOFError, OSError, SyntaxError, RuntimeError, MemoryError, NotImplementedError),
-    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+    *(LookupError, AttributeError, ArithmeticError, AssertionError, struct.error),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError),
 )
 """What numpy and zipfile raise for damaged data; a header of an old npy file may even fail as Python's tokens."""
+
+_EXPECTED, _PLAIN, _MAX_AXES = "an npz file", "biufcSU", 32
 
 
 class ArrayHeader(NamedTuple):
@@ -50,7 +53,7 @@ def npz_headers(path: Path) -> dict[str, ArrayHeader]:
     Raises:
         InputError: The file is not an npz archive, or claims more than `MAX_ARCHIVE_BYTES`.
     """
-    with _open_archive(path) as archive:
+    with open_zip(path, _EXPECTED) as archive:
         return {name: header for name, header, _ in _members(path, archive)}
 
 
@@ -69,7 +72,7 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, np.n
             `MAX_ARCHIVE_BYTES`.
     """
     arrays = {}
-    with _open_archive(path) as archive:
+    with open_zip(path, _EXPECTED) as archive:
         for name, header, info in _members(path, archive):
             if names is None or name in names:
                 arrays[name] = _read_member(path, archive, name, header, info)
@@ -82,20 +85,26 @@ def read_npy(path: Path, max_bytes: int) -> np.ndarray:
     Raises:
         InputError: No such file, larger than `max_bytes`, damaged, or it holds Python objects.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: expected an npy file, found {'a folder' if path.is_dir() else 'none'}")
-    size = path.stat().st_size
-    if size > max_bytes:
-        raise InputError(f"{path}: expected an npy file of at most {max_bytes >> 10} KiB, found {size >> 10} KiB")
-    stream = io.BytesIO(path.read_bytes())
+    content = read_file(path, max_bytes, "an npy file")
+    stream, size = io.BytesIO(content), len(content)
     try:
         shape, dtype = _read_header(stream)
-        if dtype.hasobject or prod(shape) * dtype.itemsize > size:
-            raise ValueError(f"Python objects, or a shape of {shape}" if dtype.hasobject else f"shape {shape}")
+        if not _is_plain(dtype) or prod(shape) * max(dtype.itemsize, 1) > size:
+            raise ValueError(f"shape {shape!s:.80}" if _is_plain(dtype) else "Python objects, records or dates")
         stream.seek(0)
         return npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
     except MALFORMED as error:
-        raise InputError(f"{path}: expected an array of numbers ({error}); create the file again") from error
+        raise InputError(f"{path}: expected an array of numbers ({_words(error)}); create the file again") from error
+
+
+def _is_plain(dtype: np.dtype[Any]) -> bool:
+    """Whether a type is of numbers or texts: no objects, records or dates."""
+    return not dtype.hasobject and dtype.kind in _PLAIN
+
+
+def _words(error: BaseException) -> str:
+    """The beginning of a message of numpy, which may quote a whole header."""
+    return str(error)[:120] or type(error).__name__
 
 
 def _read_member(
@@ -105,34 +114,17 @@ def _read_member(
         with archive.open(info) as stream:
             array = npy.read_array(stream, allow_pickle=False, max_header_size=10_000)
     except MALFORMED as error:
-        raise InputError(f"{path}: array {name!r} cannot be read ({error}); create the file again") from error
+        raise InputError(
+            f"{path}: array {name!r:.80} cannot be read ({_words(error)}); create the file again"
+        ) from error
     if array.shape != header.shape:
-        raise InputError(f"{path}: array {name!r} changed its shape while it was read; create the file again")
+        raise InputError(f"{path}: array {name!r:.80} changed its shape while it was read; create the file again")
     return array
-
-
-@contextmanager
-def _open_archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open a zip archive; whatever is wrong with the file becomes an `InputError`."""
-    try:
-        archive = zipfile.ZipFile(path)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: expected an npz file, found a folder") from error
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError, OSError) as error:
-        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # EINVAL: an entry lies before the file's start
-            raise
-        raise InputError(f"{path}: expected an npz file, found another file type or a damaged one ({error})") from error
-    with archive:
-        yield archive
 
 
 def _members(path: Path, archive: zipfile.ZipFile) -> list[tuple[str, ArrayHeader, zipfile.ZipInfo]]:
     """Names, headers and entries of the arrays, after checking their sizes."""
     infos = archive.infolist()
-    if len(infos) > MAX_MEMBERS:
-        raise InputError(f"{path}: expected at most {MAX_MEMBERS} arrays, found {len(infos)}")
     claimed = sum(info.file_size for info in infos)
     if claimed > MAX_ARCHIVE_BYTES:
         raise InputError(
@@ -147,16 +139,18 @@ def _header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Arra
         with archive.open(info) as stream:
             shape, dtype = _read_header(stream)
     except MALFORMED as error:
-        raise InputError(f"{path}: entry {info.filename!r} is not an array ({error}); create the file again") from error
-    if dtype.hasobject:
         raise InputError(
-            f"{path}: array {info.filename!r} holds Python objects, which could run code; only plain numbers and "
-            "text are read"
+            f"{path}: entry {info.filename!r:.80} is not an array ({_words(error)}); create the file again"
+        ) from error
+    if not _is_plain(dtype):
+        raise InputError(
+            f"{path}: array {info.filename!r:.80} holds Python objects (which could run code), records or dates; only "
+            "plain numbers and text are read"
         )
-    if prod(shape) * dtype.itemsize > info.file_size:
+    if prod(shape) * max(dtype.itemsize, 1) > info.file_size:  # texts of no characters are counted too
         raise InputError(
-            f"{path}: array {info.filename!r} claims shape {shape} but holds {info.file_size} bytes; the file is "
-            "damaged"
+            f"{path}: array {info.filename!r:.80} claims shape {shape!s:.80} but holds {info.file_size} bytes; the "
+            "file is damaged"
         )
     return ArrayHeader(tuple(shape), dtype)
 
@@ -168,7 +162,7 @@ def _read_header(stream: IO[bytes] | io.BufferedIOBase) -> ArrayHeader:
     if reader is None:
         raise ValueError(f"npy version {version}")
     shape, _, dtype = reader(stream, max_header_size=10_000)
-    if any(type(size) is not int or size < 0 for size in shape):
+    if len(shape) > _MAX_AXES or any(type(size) is not int or size < 0 for size in shape):
         raise ValueError(f"shape {shape}")
     return ArrayHeader(tuple(shape), dtype)
 

@@ -17,8 +17,10 @@ class Refused(Exception):
     """A pickle asked for something outside the allow-list."""
 
 
-MINIMUM_BUDGET = 1 << 24
+MINIMUM_BUDGET, MAXIMUM_BUDGET = 1 << 24, 1 << 29
 EXPANSION = 8
+MAX_STEPS = 3_000_000
+"""Most opcodes of a file: two or three seconds; the pickles of trackers have some hundred."""
 MAX_DEPTH = 50
 MAX_NODES = 1_000_000
 """Most values that a file may hold when shared parts are written out, so that no message prints forever."""
@@ -27,20 +29,29 @@ _ALLOWED_DTYPE_KINDS = frozenset("biufSU")
 
 
 class Budget:
-    """Bytes that the content of a file may still take beyond the file itself.
+    """Bytes that the content of a file may still take beyond the file itself, and opcodes that may still run.
 
     Args:
-        size: Size of the unpacked pickle, bytes; the budget is eight times that, and at least 16 MiB.
+        size: Size of the unpacked pickle, bytes; the budget is eight times that, and 16 MiB to 512 MiB.
     """
 
     def __init__(self, size: int) -> None:
-        self._remaining = max(MINIMUM_BUDGET, EXPANSION * size)
+        self._remaining = min(max(MINIMUM_BUDGET, EXPANSION * size), MAXIMUM_BUDGET)
+        self._steps = MAX_STEPS
+
+    def step(self) -> None:
+        """Count one opcode; `Refused` if there are more than `MAX_STEPS`."""
+        self._steps -= 1
+        if self._steps < 0:
+            raise Refused(f"more than {MAX_STEPS} objects")
 
     def spend(self, count: int) -> None:
         """Take `count` bytes; `Refused` if fewer are left."""
         self._remaining -= count
         if self._remaining < 0:
-            raise Refused(f"arrays that expand to more than {EXPANSION} times the file")
+            raise Refused(
+                f"arrays or objects that expand to more than {EXPANSION} times the file, or {MAXIMUM_BUDGET >> 20} MiB"
+            )
 
 
 class DtypeStandIn:
@@ -74,7 +85,7 @@ class ArrayStandIn:
 
     def __init__(self, budget: Budget) -> None:
         self._budget = budget
-        self._value: np.ndarray = np.zeros(0)
+        self._value: np.ndarray | None = None
 
     def __setstate__(self, state: object) -> None:
         if not isinstance(state, tuple) or len(state) not in (4, 5):
@@ -84,6 +95,8 @@ class ArrayStandIn:
 
     def value(self) -> np.ndarray:
         """The array, sharing the bytes of the pickle (read-only)."""
+        if self._value is None:
+            raise Refused("an array without its contents")
         return self._value
 
 
@@ -109,6 +122,9 @@ def checked_sizes(shape: object) -> tuple[int, ...]:
     return tuple(shape)
 
 
+_STATE_KEYS = frozenset({"x", "a", "idxs", "preferred_shape", "shape", "_shape", "data", "indices", "indptr"})
+
+
 class ObjectStandIn:
     """An object of chumpy or scipy: its attributes, never its behavior."""
 
@@ -118,7 +134,7 @@ class ObjectStandIn:
     def __setstate__(self, state: object) -> None:
         if not isinstance(state, dict):
             raise Refused("an object without attributes")
-        self.state = {str(key): value for key, value in state.items()}
+        self.state = {key: state[key] for key in _STATE_KEYS if key in state}
 
 
 class SelectStandIn(ObjectStandIn):
@@ -137,11 +153,18 @@ class ClassStandIn:
 
 
 def check_key(key: object) -> None:
-    """Refuse a dictionary key or set entry whose hash is not computed at once: names and numbers are allowed."""
+    """Refuse a dictionary key or set entry whose hash is not computed at once, or can be made to be that of others.
+
+    Names and numbers are allowed. Python's hash of an integer is the remainder of 2⁶¹ - 1, so that a hundred thousand
+    of its multiples take a minute.
+    """
     if key is not None and type(key) not in (str, bytes, int, float, bool):
         raise Refused("a dictionary or set whose keys are not names or numbers")
+    if type(key) is int and abs(key) >= 1 << 60:
+        raise Refused("a dictionary or set with keys of more than 60 bits")
 
 
+_SINGLE_TYPES = frozenset({str, bytes, int, float, bool})
 _PLAIN_TYPES = (str, bytes, bytearray, int, float, complex, set, frozenset, np.ndarray)
 
 
@@ -162,6 +185,9 @@ class PlainConverter:
 
     def convert(self, value: Any) -> Any:
         """Convert a value to plain content."""
+        if value is None or type(value) in _SINGLE_TYPES:
+            self._count(1)
+            return value
         if id(value) in self._converted:
             _, result, nodes = self._converted[id(value)]
             self._count(nodes)
@@ -199,14 +225,14 @@ class PlainConverter:
 
     def _array_of(self, value: ObjectStandIn) -> np.ndarray:
         """The array that an object of chumpy or scipy represents."""
-        state = {key: self.convert(item) for key, item in value.state.items() if key in _STATE_KEYS}
+        state = {key: self.convert(item) for key, item in value.state.items()}
         if isinstance(value, SparseStandIn):
             self._remaining_sparse -= 1
             if self._remaining_sparse < 0:
                 raise Refused("more than four sparse matrices")
-            return _sparse_to_dense(state)
+            return _sparse_to_dense(state, self._budget)
         if isinstance(value, SelectStandIn):
-            source, chosen = np.asarray(state["a"]).ravel(), np.asarray(state["idxs"])
+            source, chosen = _numbers(state["a"]).ravel(), _numbers(state["idxs"], "iu")
             self._budget.spend(chosen.size * source.itemsize)
             entries, shape = source[chosen], state.get("preferred_shape")
             return entries.reshape(checked_sizes(shape)) if isinstance(shape, tuple) else entries
@@ -215,13 +241,18 @@ class PlainConverter:
         return state["x"]
 
 
-_STATE_KEYS = frozenset({"x", "a", "idxs", "preferred_shape", "shape", "_shape", "data", "indices", "indptr"})
+def _numbers(value: object, kinds: str = "biuf") -> np.ndarray:
+    """A value that must be an array of numbers."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
+        raise Refused("a matrix of something else than arrays of numbers")
+    return value
 
 
-def _sparse_to_dense(state: dict[str, Any]) -> np.ndarray:
+def _sparse_to_dense(state: dict[str, Any], budget: Budget) -> np.ndarray:
     """Convert a compressed-column matrix to an array, checking every index."""
     shape = checked_sizes(state.get("_shape", state.get("shape")))
-    data, rows, starts = (np.asarray(state[key]) for key in ("data", "indices", "indptr"))
+    data, rows = _numbers(state["data"]), _numbers(state["indices"], "iu")
+    starts = _numbers(state["indptr"], "iu").astype(np.int64)  # differences of unsigned numbers are never negative
     if len(shape) != 2:
         raise Refused("a sparse matrix without a shape")
     if prod(shape) > 1 << 22 or len(starts) != shape[1] + 1 or data.shape != rows.shape or data.ndim != 1:
@@ -229,6 +260,7 @@ def _sparse_to_dense(state: dict[str, Any]) -> np.ndarray:
     counts = np.diff(starts)
     if (counts < 0).any() or starts[0] != 0 or starts[-1] != len(data) or ((rows < 0) | (rows >= shape[0])).any():
         raise Refused("a sparse matrix with entries outside it")
+    budget.spend(prod(shape) * data.itemsize)
     dense = np.zeros(shape, data.dtype)
     np.add.at(dense, (rows, np.repeat(np.arange(shape[1]), counts)), data)
     return dense

@@ -11,7 +11,8 @@ from jaxtyping import UInt8, UInt16
 
 from ggavatar.errors import InputError
 from ggavatar.io.image_colors import StatedColors, color_conversion, stated_colors
-from ggavatar.io.image_header import PNG_SIGNATURE, ImageHeader, image_header
+from ggavatar.io.image_header import ImageHeader, image_header
+from ggavatar.io.picture_bytes import picture_bytes, pixels_only
 from ggavatar.pictures.color import ColorConversion, UnsupportedColorError
 from ggavatar.pictures.orientation import UPRIGHT
 from ggavatar.pictures.profiles import ProfileConversion
@@ -61,7 +62,7 @@ def read_picture(path: Path) -> Picture:
         InputError: No such file, damaged, or colors that cannot be converted.
     """
     header = image_header(path)
-    data = _file_bytes(path)
+    data = picture_bytes(path)
     kind = _kind(path, header, data)
     stored = _cmyk(path, data) if kind.stated.is_cmyk else _unchanged(path, header, data)
     color, alpha = stored, None
@@ -81,13 +82,13 @@ def read_unchanged(path: Path) -> np.ndarray:
     Raises:
         InputError: No such file, or damaged.
     """
-    return _unchanged(path, image_header(path), _file_bytes(path))
+    return _unchanged(path, image_header(path), picture_bytes(path))
 
 
 def _unchanged(path: Path, header: ImageHeader, data: bytes) -> np.ndarray:
     import cv2
 
-    values = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    values = cv2.imdecode(np.frombuffer(pixels_only(data), np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None or header.orientation.size(values.shape[1], values.shape[0]) != (header.width, header.height):
         raise _damaged(path)
     if values.ndim == 3:
@@ -101,7 +102,7 @@ def picture_kind(path: Path) -> PictureKind:
     Raises:
         InputError: No such file, damaged, or colors that cannot be converted.
     """
-    return _kind(path, image_header(path), _file_bytes(path))
+    return _kind(path, image_header(path), picture_bytes(path))
 
 
 def _kind(path: Path, header: ImageHeader, data: bytes) -> PictureKind:
@@ -166,17 +167,3 @@ def to_8_bits(values: np.ndarray) -> UInt8[np.ndarray, "*S"]:
 def _damaged(path: Path) -> InputError:
     """The error for a file whose pixels cannot be decoded."""
     return InputError(f"{path}: the image is damaged and cannot be decoded; copy or create the file again")
-
-
-def _file_bytes(path: Path) -> bytes:
-    """A file's bytes; PNG chunks must lie within the file, since OpenCV allocates whatever length one claims."""
-    data = path.read_bytes()
-    position = len(PNG_SIGNATURE)
-    while data.startswith(PNG_SIGNATURE) and position < len(data):
-        claimed_length = int.from_bytes(data[position : position + 4], "big")
-        if data[position + 4 : position + 8] == b"IEND":
-            break
-        position += 12 + claimed_length
-        if position > len(data):
-            raise _damaged(path)
-    return data

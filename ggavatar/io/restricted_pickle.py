@@ -1,216 +1,22 @@
-"""Read pickles (FLAME model files, trackers' `.frame` files) without running any code that they name.
+"""Read pickles (FLAME model files, trackers' `.frame` files) and what `torch.save` writes, running none of their code.
 
-Every class a pickle may name is replaced by an inert stand-in; numpy, scipy, chumpy and torch are never called with
-what a file contains. Opcodes outside a short list are refused, keys that are hashed are names or numbers, and sizes are
-checked before arrays are allocated. No other module unpickles.
+`ggavatar/io/restricted_unpickler.py` unpickles, `ggavatar/io/pickle_stand_ins.py` makes plain values of the result.
 """
 
 from __future__ import annotations
 
-import errno
 import io
-import pickle
-import struct
-import zipfile
-import zlib
-from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io import torch_archives as archives
-from ggavatar.io.pickle_stand_ins import (
-    ArrayStandIn,
-    Budget,
-    ClassStandIn,
-    DtypeStandIn,
-    ObjectStandIn,
-    PlainConverter,
-    Refused,
-    SelectStandIn,
-    SparseStandIn,
-    array_of,
-    check_key,
-)
-
-_REFUSED_OPCODES = frozenset(
-    opcode[0]
-    for opcode in (
-        *(pickle.PERSID, pickle.EXT1, pickle.EXT2, pickle.EXT4, pickle.INST, pickle.OBJ),
-        *(pickle.NEWOBJ_EX, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.LONG4),
-    )
-)
-_DAMAGE_ERRORS = (
-    *(pickle.UnpicklingError, EOFError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError),
-    *(RecursionError, AssertionError, RuntimeError, struct.error),
-)
-
-
-def _encode(budget: Budget, text: object, encoding: object = "latin1") -> bytes:
-    if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-        raise Refused("text in another encoding than latin1")
-    budget.spend(len(text))
-    return text.encode("latin1")
-
-
-def _scalar(budget: Budget, kind: object, data: object = b"") -> np.ndarray:
-    return array_of(budget, data, kind, (), "C")
-
-
-def _frombuffer(budget: Budget, data: object, kind: object, shape: object, order: object = "C", *_: object) -> Any:
-    return array_of(budget, data, kind, shape, "F" if order == "F" else "C")
-
-
-def _ordered(budget: Budget, pairs: object = ()) -> dict[Any, Any]:
-    """`collections.OrderedDict()`, or with the list of pairs that Python 2 wrote."""
-    if not isinstance(pairs, list | tuple):
-        raise Refused("a dictionary made of another object")
-    budget.spend(64 * len(pairs))
-    result = {}
-    for pair in pairs:
-        if not isinstance(pair, list | tuple) or len(pair) != 2:
-            raise Refused("a dictionary made of another object")
-        check_key(pair[0])
-        result[pair[0]] = pair[1]
-    return result
-
-
-def _reconstructor(kind: object, *_: object) -> object:
-    if isinstance(kind, type) and issubclass(kind, ObjectStandIn):
-        return kind()
-    raise Refused("an unknown object")
-
-
-class _EmptyBytes:
-    """`bytes()` without arguments, as protocol 2 writes empty bytes."""
-
-    def __new__(cls, *arguments: object) -> bytes:  # type: ignore[misc]
-        if arguments:
-            raise Refused("bytes converted from another object")
-        return b""
-
-
-def _size(*sizes: object) -> tuple[object, ...]:
-    """`torch.Size`: a tuple."""
-    return tuple(sizes[0]) if len(sizes) == 1 and isinstance(sizes[0], tuple | list) else ()
-
-
-_ALLOWED: dict[tuple[str, str], Callable[..., Any]] = {
-    ("numpy", "ndarray"): ClassStandIn,
-    ("numpy", "dtype"): DtypeStandIn,
-    **{(f"scipy.sparse{module}", "csc_matrix"): SparseStandIn for module in ("", ".csc", "._csc")},
-    ("chumpy.reordering", "Select"): SelectStandIn,
-    **{(module, "_reconstructor"): _reconstructor for module in ("copy_reg", "copyreg")},
-    **{(module, "object"): ClassStandIn for module in ("__builtin__", "builtins")},
-    **{(module, "bytes"): _EmptyBytes for module in ("__builtin__", "builtins")},
-    **{("torch", name): archives.TorchType(code) for name, code in archives.STORAGE_TYPES.items()},
-    **{("torch", name): archives.TorchType(code) for name, code in archives.SCALAR_TYPES.items()},
-    ("torch.storage", "UntypedStorage"): archives.TorchType("<u1"),
-    **{("torch._utils", f"_rebuild_tensor{version}"): archives.rebuild_tensor for version in ("", "_v2")},
-    ("torch._utils", "_rebuild_tensor_v3"): archives.rebuild_tensor_v3,
-    **{("torch._utils", f"_rebuild_parameter{kind}"): archives.rebuild_parameter for kind in ("", "_with_state")},
-    ("torch._tensor", "_rebuild_from_type_v2"): archives.rebuild_from_type,
-    ("torch", "Size"): _size,
-    **{(f"torch{module}", name): ClassStandIn for module, name in ((".nn.parameter", "Parameter"), ("", "Tensor"))},
-}
-
-
-class _RestrictedUnpickler(pickle._Unpickler):
-    """The pure-Python unpickler with an allow-list (a memo index can make the C one allocate gigabytes)."""
-
-    def __init__(
-        self, stream: io.BytesIO, budget: Budget, storages: archives.StoragePool | None = None, nested: bool = False
-    ) -> None:
-        super().__init__(stream, encoding="latin1")
-        self._budget, self._storages, self._nested = budget, storages, nested
-        self._spending: dict[tuple[str, str], Callable[..., Any]] = {
-            **{(f"numpy.{core}.multiarray", "_reconstruct"): self._array for core in ("core", "_core")},
-            **{(f"numpy.{core}.multiarray", "scalar"): partial(_scalar, budget) for core in ("core", "_core")},
-            **{(f"numpy.{core}.numeric", "_frombuffer"): partial(_frombuffer, budget) for core in ("core", "_core")},
-            ("_codecs", "encode"): partial(_encode, budget),
-            ("collections", "OrderedDict"): partial(_ordered, budget),
-            ("torch.storage", "_load_from_bytes"): self._storage_of_bytes,
-        }
-
-    def _array(self, *_: object) -> ArrayStandIn:
-        return ArrayStandIn(self._budget)
-
-    def _storage_of_bytes(self, data: object = None) -> archives.Storage:
-        """A storage in a pickle of its own, as `pickle.dump` writes a tensor; not within another such pickle."""
-        if not isinstance(data, bytes) or self._nested:
-            raise Refused("a tensor within a tensor")
-        self._budget.spend(len(data))
-        found = _load_stream(data, self._budget, nested=True)
-        if not isinstance(found, archives.Storage):
-            raise Refused("a storage that is none")
-        return found
-
-    def persistent_load(self, pid: Any) -> archives.Storage:
-        if self._storages is None:
-            raise Refused("a reference to something outside the file")
-        return self._storages.load(pid)
-
-    def load_build(self) -> None:
-        """Set an object's state: stand-ins only, so that a file cannot alter any function or class of this module."""
-        state = self.stack.pop()  # type: ignore[attr-defined]
-        target = self.stack[-1]  # type: ignore[attr-defined]
-        if isinstance(target, dict):
-            return  # attributes of an OrderedDict, such as the _metadata of torch's state_dict
-        if not isinstance(target, DtypeStandIn | ArrayStandIn | ObjectStandIn | archives.TensorStandIn):
-            raise Refused("an object with a state of its own")
-        target.__setstate__(state)
-
-    def load_bytearray8(self) -> None:
-        """A bytearray of protocol 5, whose length is checked against what is left of the file."""
-        (size,) = struct.unpack("<Q", self.read(8))  # type: ignore[attr-defined]
-        self._budget.spend(size)
-        self.append(self.read(size))  # type: ignore[attr-defined]
-
-    def load_setitem(self) -> None:
-        check_key(self.stack[-2])  # type: ignore[attr-defined]
-        super().load_setitem()  # type: ignore[misc]
-
-    def load_setitems(self) -> None:
-        self._check_keys(self.stack[::2])  # type: ignore[attr-defined]
-        super().load_setitems()  # type: ignore[misc]
-
-    def load_dict(self) -> None:
-        self._check_keys(self.stack[::2])  # type: ignore[attr-defined]
-        super().load_dict()  # type: ignore[misc]
-
-    def load_additems(self) -> None:
-        self._check_keys(self.stack)  # type: ignore[attr-defined]
-        super().load_additems()  # type: ignore[misc]
-
-    def load_frozenset(self) -> None:
-        self._check_keys(self.stack)  # type: ignore[attr-defined]
-        super().load_frozenset()  # type: ignore[misc]
-
-    def _check_keys(self, keys: Iterable[object]) -> None:
-        for key in keys:
-            check_key(key)
-
-    dispatch: ClassVar = {
-        **{code: load for code, load in pickle._Unpickler.dispatch.items() if code not in _REFUSED_OPCODES},
-        pickle.BUILD[0]: load_build,  # type: ignore[dict-item]
-        pickle.BYTEARRAY8[0]: load_bytearray8,  # type: ignore[dict-item]
-        pickle.SETITEM[0]: load_setitem,  # type: ignore[dict-item]
-        pickle.SETITEMS[0]: load_setitems,  # type: ignore[dict-item]
-        pickle.DICT[0]: load_dict,  # type: ignore[dict-item]
-        pickle.ADDITEMS[0]: load_additems,  # type: ignore[dict-item]
-        pickle.FROZENSET[0]: load_frozenset,  # type: ignore[dict-item]
-    }
-
-    def find_class(self, module: str, name: str) -> Callable[..., Any]:
-        allowed = self._spending.get((module, name)) or _ALLOWED.get((module, name))
-        if allowed is not None:
-            return allowed
-        if module.split(".")[0] == "chumpy" and "." not in name:
-            return ObjectStandIn
-        raise Refused(f"{module}.{name}")
+from ggavatar.io.pickle_stand_ins import Budget, PlainConverter, Refused
+from ggavatar.io.regular_files import read_file, read_start, regular_size
+from ggavatar.io.restricted_unpickler import DAMAGE_ERRORS, load_stream, unpickle
 
 
 def read_pickle(path: Path) -> Any:
@@ -225,58 +31,31 @@ def read_pickle(path: Path) -> Any:
         return _load(path)
     except InputError:
         raise
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: expected a file, found a folder") from error
     except Refused as error:
         raise InputError(
             f"{path}: refused, since it holds {error}, which no tracker output or FLAME model needs and which "
-            "could run code; download the file from its original source"
+            "could run code or fill the memory; download the file from its original source"
         ) from error
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise InputError(f"{path}: damaged archive ({error}); copy or create the file again") from error
-    except OSError as error:
-        if error.errno != errno.EINVAL:  # EINVAL: an entry lies before the file's start
-            raise
-        raise InputError(f"{path}: damaged archive; copy or create the file again") from error
-    except _DAMAGE_ERRORS as error:
+    except DAMAGE_ERRORS as error:
         raise InputError(
             f"{path}: not a readable pickle ({type(error).__name__}); copy or create the file again"
         ) from error
 
 
 def _load(path: Path) -> Any:
-    size = path.stat().st_size
-    if size > archives.MAX_FILE_BYTES:
-        raise InputError(f"{path}: expected at most {archives.MAX_FILE_BYTES >> 20} MiB, found {size >> 20} MiB")
-    with path.open("rb") as stream:
-        is_zip = stream.read(2) == b"PK"
-    if is_zip:
-        archive = archives.read_archive(path, size)
+    expected = "a pickle or a file of torch.save"
+    size = regular_size(path, expected, archives.MAX_FILE_BYTES)
+    if read_start(path, 2) != b"PK":
+        budget = Budget(size)
+        return _plain(load_stream(read_file(path, archives.MAX_FILE_BYTES, expected), budget), budget)
+    with archives.open_archive(path, size) as archive:
         budget = Budget(max(size, len(archive.pickle)))
         pool = archives.StoragePool(archive.entries)
-        loaded = _RestrictedUnpickler(io.BytesIO(archive.pickle), budget, pool).load()
-    else:
-        budget = Budget(size)
-        loaded = _load_stream(path.read_bytes(), budget)
+        return _plain(unpickle(io.BytesIO(archive.pickle), budget, pool), budget)
+
+
+def _plain(loaded: Any, budget: Budget) -> Any:
     return PlainConverter(budget, partial(_tensor_array, budget)).convert(loaded)
-
-
-def _load_stream(data: bytes, budget: Budget, nested: bool = False) -> Any:
-    """A pickle, or the five pickles and the numbers of torch's older container; `nested` within a tensor."""
-    stream = io.BytesIO(data)
-    pool = archives.StoragePool(None)
-    first = _RestrictedUnpickler(stream, budget, nested=nested).load()
-    if first != archives.LEGACY_MAGIC or type(first) is not int:
-        return first
-    _RestrictedUnpickler(stream, budget).load()
-    system = _RestrictedUnpickler(stream, budget).load()
-    if not isinstance(system, dict) or system.get("little_endian", True) is not True:
-        raise Refused("numbers of a big-endian machine")
-    loaded = _RestrictedUnpickler(stream, budget, pool, nested).load()
-    pool.fill(_RestrictedUnpickler(stream, budget).load(), stream)
-    return loaded
 
 
 def _tensor_array(budget: Budget, value: object) -> np.ndarray | None:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import struct
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from math import prod
 from pathlib import Path
@@ -18,9 +20,10 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.pickle_stand_ins import Budget, Refused, checked_sizes
+from ggavatar.io.zip_files import open_zip, read_zipped
 
-MAX_FILE_BYTES = 1 << 29
-"""Largest file, and largest content of one, that is read (512 MiB); FLAME's is 50 MB."""
+MAX_FILE_BYTES = 1 << 28
+"""Largest file, and largest content of one, that is read (256 MiB); FLAME's is 50 MB."""
 
 LEGACY_MAGIC = 0x1950A86A20F9469CFC6C
 """First object in a file of `torch.save(…, _use_new_zipfile_serialization=False)` and of torch before 1.6."""
@@ -101,7 +104,7 @@ class TensorStandIn:
         """A contiguous array of its own; `Refused` if the view leaves the storage."""
         item, raw = self._kind.item_bytes, self._storage.data()
         reach = self._offset + sum((size - 1) * step for size, step in zip(self._size, self._stride, strict=True)) + 1
-        budget.spend(2 * prod(self._size) * item)
+        budget.spend(prod(self._size) * item * (4 if self._kind.code == _BFLOAT16 else 1))
         if 0 in self._size:
             return np.zeros(self._size, "<f4" if self._kind.code == _BFLOAT16 else self._kind.code)
         if reach * item > len(raw):
@@ -155,18 +158,18 @@ class Archive:
     entries: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
 
 
-def read_archive(path: Path, size: int) -> Archive:
-    """The pickle and the storages of a zip that `torch.save` wrote.
+@contextmanager
+def open_archive(path: Path, size: int) -> Iterator[Archive]:
+    """The pickle and the storages of a zip that `torch.save` wrote; these can be read while it is open.
 
     Args:
         path: The file.
         size: Its size, bytes.
 
     Raises:
-        InputError: It has no or several `*/data.pkl`, unpacks to far more than its size, or is big-endian.
-        zipfile.BadZipFile: The archive is damaged.
+        InputError: It has no or several `*/data.pkl`, unpacks to far more than its size, is damaged or big-endian.
     """
-    with zipfile.ZipFile(path) as archive:
+    with open_zip(path, "a file of torch.save") as archive:
         infos = archive.infolist()
         inside = [info for info in infos if info.filename.count("/") == 1 and info.filename.endswith("/data.pkl")]
         if len(inside) != 1:
@@ -178,29 +181,18 @@ def read_archive(path: Path, size: int) -> Archive:
             raise InputError(f"{path}: unpacks to {claimed >> 20} MiB; the file is damaged or hostile")
         if _byte_order(archive, f"{root}byteorder") == b"big":
             raise InputError(f"{path}: expected little-endian numbers, found a file of a big-endian machine")
-        entries = {info.filename.removeprefix(f"{root}data/"): _entry_reader(path, info) for info in wanted}
-        return Archive(_read_entry(archive, inside[0]), entries)
+        entries = {
+            info.filename.removeprefix(f"{root}data/"): partial(read_zipped, archive, info, MAX_FILE_BYTES)
+            for info in wanted
+        }
+        yield Archive(read_zipped(archive, inside[0], MAX_FILE_BYTES), entries)
 
 
 def _byte_order(archive: zipfile.ZipFile, name: str) -> bytes:
     try:
-        with archive.open(name) as stream:
-            return stream.read(16).strip()
+        return read_zipped(archive, name, 64).strip()
     except KeyError:
         return b"little"
-
-
-def _read_entry(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    with archive.open(info) as stream:
-        return stream.read(info.file_size)
-
-
-def _entry_reader(path: Path, info: zipfile.ZipInfo) -> Callable[[], bytes]:
-    def read() -> bytes:
-        with zipfile.ZipFile(path) as archive:
-            return _read_entry(archive, info)
-
-    return read
 
 
 class StoragePool:

@@ -14,7 +14,6 @@ import hashlib
 import io
 import os
 import shutil
-import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -24,6 +23,7 @@ from typing import Any
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from ggavatar.io.cache_folder import cache_folder
+from ggavatar.jit.private_folder import is_own_file, is_private
 
 PACKAGES = ("ggavatar", "preprocess", "evaluate")
 """Packages whose sources a kernel may depend on."""
@@ -66,22 +66,16 @@ def source_digest(path: Path, root: Path = ROOT) -> str:
     return digest.hexdigest()[:12]
 
 
-def is_private(folder: Path) -> bool:
-    """Whether `folder` is a folder, not a link, that this user owns and nobody else may write to."""
-    status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode):
-        return False
-    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
-
-
 def kernel_folder() -> Path:
-    """The folder for compiled kernels, created if necessary: in the user's cache, else a temporary one.
+    """The folder for compiled kernels, created if missing: $NUMBA_CACHE_DIR or the user's cache, else a temporary one.
 
     Cache files are executed, so a folder that others could have written to is not used, and ours is closed to them.
     """
-    folder = cache_folder("compiled")
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(chosen).absolute() / "ggavatar" if chosen else cache_folder("compiled").absolute()
     with contextlib.suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        _make_private(folder)
+        folder = folder.parent.resolve() / folder.name  # links above it could be changed after the check
         if is_private(folder) and os.access(folder, os.W_OK):
             folder.chmod(0o700)
             return folder
@@ -92,6 +86,13 @@ def kernel_folder() -> Path:
         "can write to; set $GGAVATAR_CACHE to one\n"
     )
     return private
+
+
+def _make_private(folder: Path) -> None:
+    """Create a folder and those above it that are missing, all closed to others, whatever the umask allows."""
+    missing = [parent for parent in (folder, *folder.parents) if not parent.exists()]
+    for parent in reversed(missing):
+        parent.mkdir(mode=0o700, exist_ok=True)
 
 
 def _remove(folder: Path, owner: int) -> None:
@@ -106,9 +107,9 @@ def _signature(path: str, content: bytes) -> bytes:
 
 
 def _is_intact(path: str) -> bool:
-    """Whether a cache file exists, is complete and unchanged."""
+    """Whether a cache file exists, is this user's, complete and unchanged."""
     try:
-        content = Path(path).read_bytes()
+        content = Path(path).read_bytes() if is_own_file(path) else b""
     except OSError:
         return False
     return content[-DIGEST_BYTES:] == _signature(path, content[:-DIGEST_BYTES])
@@ -140,6 +141,10 @@ class KernelCache(FunctionCache):
         super().__init__(function)
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _CheckedCacheFile(self._cache_path, self._impl.filename_base, stamp)
+
+    def is_below(self, folder: Path) -> bool:
+        """Whether the files are in `folder`."""
+        return Path(self._cache_path).is_relative_to(folder)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code of one signature; write errors are ignored."""

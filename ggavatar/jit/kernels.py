@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +13,8 @@ from numba.core.event import Event, Listener, register
 
 from ggavatar.jit.kernel_cache import PACKAGES, KernelCache, kernel_folder, source_digest
 
-CACHE = None if os.environ.get("NUMBA_CACHE_DIR") else kernel_folder()
-"""The folder for compiled kernels; None leaves it to numba, where the user chose one."""
+CACHE = kernel_folder()
+"""The folder for compiled kernels, which this user alone can write to."""
 
 OPTIONS = {
     "nogil": True,
@@ -29,9 +28,14 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator: compile a kernel on its first call and cache it on disk."""
     plain = inspect.unwrap(function)  # the tests wrap functions to check types
     dispatcher = numba.njit(**OPTIONS)(plain)
-    if CACHE is not None:  # numba reads the folder when the cache is created
-        numba.config.CACHE_DIR = str(CACHE / source_digest(Path(inspect.getfile(plain))))
-    dispatcher._cache = KernelCache(plain)
+    folder, others = CACHE / source_digest(Path(inspect.getfile(plain))), numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder)  # numba reads it when the cache is created
+    try:
+        cache = KernelCache(plain)
+    finally:
+        numba.config.CACHE_DIR = others
+    if cache.is_below(folder):  # numba looks for another place where it cannot write
+        dispatcher._cache = cache
     return dispatcher
 
 
@@ -47,7 +51,7 @@ def announce(what: str) -> None:
     """Say on stderr, once per process, that a compilation has started, since it takes seconds."""
     if what not in _announced:
         _announced.add(what)
-        sys.stderr.write(f"compiling {what} for this processor (once; cached in {CACHE or numba.config.CACHE_DIR})\n")
+        sys.stderr.write(f"compiling {what} for this processor (once; cached in {CACHE})\n")
 
 
 class _CompilationListener(Listener):

@@ -7,7 +7,6 @@ float field of a protocol buffer, which 25 lines read; `protobuf` would need cla
 from __future__ import annotations
 
 import struct
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ggavatar.errors import InputError
+from ggavatar.io.regular_files import read_file
+from ggavatar.io.zip_files import open_zip, read_zipped
 
 MAX_MEMBER_BYTES = 64 * 1024 * 1024
 """Largest network or part of the bundle that is read (64 MiB)."""
@@ -51,23 +52,13 @@ def read_member(bundle: Path, part: str) -> bytes:
         InputError: The file is not a zip or lacks the part, or the part is damaged or larger than 64 MiB.
     """
     name = MEMBERS[part]
-    try:
-        with zipfile.ZipFile(bundle) as archive:
-            size = archive.getinfo(name).file_size
-            if size > MAX_MEMBER_BYTES:
-                raise InputError(
-                    f"{bundle}: expected at most {MAX_MEMBER_BYTES} bytes of {name}, found {size}; {ADVICE}"
-                )
-            with archive.open(name) as member:
-                content = member.read(MAX_MEMBER_BYTES + 1)
-    except KeyError as error:
-        raise InputError(
-            f"{bundle}: expected a face landmarker bundle with {name}, which is missing; {ADVICE}"
-        ) from error
-    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
-        raise InputError(
-            f"{bundle}: expected a face landmarker bundle (a zip archive), found {error}; {ADVICE}"
-        ) from error
+    with open_zip(bundle, f"a face landmarker bundle (a zip archive; {ADVICE})") as archive:
+        if name not in archive.namelist():
+            raise InputError(f"{bundle}: expected a face landmarker bundle with {name}, which is missing; {ADVICE}")
+        size = archive.getinfo(name).file_size
+        if size > MAX_MEMBER_BYTES:
+            raise InputError(f"{bundle}: expected at most {MAX_MEMBER_BYTES} bytes of {name}, found {size}; {ADVICE}")
+        content = read_zipped(archive, name, MAX_MEMBER_BYTES)
     if len(content) != size:
         raise InputError(f"{bundle}: expected {size} bytes of {name}, found {len(content)}; {ADVICE}")
     return content
@@ -84,20 +75,12 @@ def load_network(path: Path, part: str) -> cv2.dnn.Net:
         InputError: The file cannot be read, or OpenCV does not support the network.
     """
     is_network_file = path.suffix == ".tflite"
-    content = _read_network_file(path) if is_network_file else read_member(path, part)
+    content = read_file(path, MAX_MEMBER_BYTES, "a network") if is_network_file else read_member(path, part)
     try:
         return cv2.dnn.readNetFromTFLite(np.frombuffer(content, np.uint8))
     except cv2.error as error:
         name = part if is_network_file else MEMBERS[part]
         raise InputError(f"{path}: OpenCV {cv2.__version__} cannot read {name} ({error.err}); {ADVICE}") from error
-
-
-def _read_network_file(path: Path) -> bytes:
-    """Read a network's own file, which must not exceed 64 MiB."""
-    size = path.stat().st_size
-    if size > MAX_MEMBER_BYTES:
-        raise InputError(f"{path}: expected a network of at most {MAX_MEMBER_BYTES} bytes, found {size}; {ADVICE}")
-    return path.read_bytes()
 
 
 def canonical_face(bundle: Path) -> CanonicalFace:

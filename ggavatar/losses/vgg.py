@@ -5,7 +5,6 @@ The network is written out here: torchvision, which has VGG16, does not import b
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +15,7 @@ from torch.nn.functional import conv2d, max_pool2d, relu
 
 from ggavatar.pretrained.resolve import ModelUnavailable, resolve
 from ggavatar.pretrained.weights import load_weights
+from ggavatar.text.terminal import write_err
 
 BLOCKS = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21))
 """Convolutions of VGG16's first four blocks, as torchvision numbers them; the loss compares the end of each block."""
@@ -92,7 +92,7 @@ def perceptual_loss(
         except ModelUnavailable as missing:
             if features == "vgg16":
                 raise
-            sys.stderr.write(f"warning: the perceptual loss compares random features in place of VGG16's: {missing}\n")
+            write_err(f"warning: the perceptual loss compares random features in place of VGG16's: {missing}")
     return PerceptualLoss("random", random_weights(seed))
 
 

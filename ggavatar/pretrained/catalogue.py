@@ -188,6 +188,18 @@ _FACE_MODELS = {
             ),
         ),
     ),
+    "rvm": Model(
+        "Robust Video Matting: masks with hair, for `--masks rvm`; needs onnxruntime",
+        "GPL-3.0 (Robust Video Matting)",
+        (
+            Version(
+                ("rvm_mobilenetv3_fp32.onnx",),
+                "88d4531297118f595bf2fd60f6f566aec2e559393802d1f436c380f0cbbd2828",
+                14_975_696,
+                "https://github.com/PeterL1n/RobustVideoMatting/releases/download/v1.0.0/rvm_mobilenetv3_fp32.onnx",
+            ),
+        ),
+    ),
     "face_detection": Model(
         "face detector, in place of the one in face_landmarker",
         _APACHE,

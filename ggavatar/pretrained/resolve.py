@@ -15,8 +15,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ggavatar.errors import InputError, nearest
-from ggavatar.io.atomic import write_atomically
+from ggavatar.io.atomic import remove_partial_files, write_atomically
 from ggavatar.io.digests import sha256_of
+from ggavatar.io.folder_lock import lock_folder
 from ggavatar.pretrained.catalogue import MODELS, Archive, Member, Model, Version
 from ggavatar.pretrained.conversion import convert
 from ggavatar.pretrained.download import download
@@ -62,7 +63,7 @@ class ModelFinder:
             found = _in_folder(name, model, folder)
             if found is not None:
                 return found
-        failures = ["offline"] if self.offline else list(self._fetch_any(model))
+        failures = ["offline"] if self.offline else self._fetch_alone(name, model)
         found = _in_folder(name, model, downloads_folder())
         if found is None:
             raise ModelUnavailable(_advice(name, model, failures))
@@ -85,11 +86,16 @@ class ModelFinder:
             except ModelUnavailable as also:
                 raise ModelUnavailable(f"{missing}. Without it: {also}") from missing
 
+    def _fetch_alone(self, name: str, model: Model) -> list[str]:
+        """Fetch a model while no other process fetches any, unless one has meanwhile; returns why sources failed."""
+        if reason := _unwritable(downloads_folder()):
+            return [reason]
+        with lock_folder(downloads_folder(), wait=True):
+            remove_partial_files(downloads_folder())
+            return [] if _in_folder(name, model, downloads_folder()) else list(self._fetch_any(model))
+
     def _fetch_any(self, model: Model) -> Iterator[str]:
         """Try one source after the other until one succeeds; yields why each of the others failed."""
-        if reason := _unwritable(downloads_folder()):
-            yield reason
-            return
         for version in model.versions:
             if version.url and version.is_downloadable:
                 failure = self._attempt(version.url, functools.partial(_store_download, version.url, version))

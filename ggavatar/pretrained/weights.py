@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ggavatar.errors import InputError
+from ggavatar.io.regular_files import regular_size
 
 MAX_WEIGHT_BYTES = 1 << 30
 
@@ -20,12 +21,11 @@ def load_weights(path: Path) -> dict[str, Tensor]:
     Raises:
         InputError: The file is larger than `MAX_WEIGHT_BYTES`, damaged, or holds anything but tensors by name.
     """
-    if path.stat().st_size > MAX_WEIGHT_BYTES:
-        raise InputError(f"{path}: expected a weight file of at most {MAX_WEIGHT_BYTES >> 30} GiB, found a larger one")
+    regular_size(path, "a weight file", MAX_WEIGHT_BYTES)
     if path.suffix == ".safetensors":
         try:
             return safetensors.torch.load_file(path)
-        except safetensors.SafetensorError as error:
+        except (safetensors.SafetensorError, OSError) as error:  # a file that changed, or a disk that cannot read it
             raise InputError(
                 f"{path}: expected tensors by name, found a damaged file: {error}; get it again"
             ) from error
@@ -35,9 +35,9 @@ def load_weights(path: Path) -> dict[str, Tensor]:
 def _load_pth(path: Path) -> dict[str, Tensor]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, MemoryError):
+    except MemoryError:
         raise
-    except Exception as error:  # damaged files make torch raise many types
+    except Exception as error:  # damaged files make torch raise many types, and the disk may fail
         first_line = str(error).partition("\n")[0] or "an empty file"
         raise InputError(f"{path}: expected tensors by name, found other data: {first_line}; get it again") from error
     if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib
-import sys
 
 import torch
 
 from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.jit.dispatch import importable
+from ggavatar.text.terminal import write_err
 
 BACKENDS = {
     "reference": "ggavatar.render.reference",
@@ -36,7 +36,7 @@ def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
     wanted = {"cuda": "gsplat", "cpu": "cpu"}.get(kind, "reference")
     missing = _missing(wanted)
     if missing:
-        sys.stderr.write(f"rendering with the reference rasterizer, which is many times slower: {missing}\n")
+        write_err(f"rendering with the reference rasterizer, which is many times slower: {missing}")
     return load("reference" if missing else wanted)
 
 

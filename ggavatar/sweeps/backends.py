@@ -11,7 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from ggavatar.errors import EXIT_FAILURE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_USAGE, InputError
+from ggavatar.errors import (
+    EXIT_FAILURE,
+    EXIT_GATE,
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    EXIT_USAGE,
+    InputError,
+    Terminated,
+)
+from ggavatar.io.held_folders import make_folder
 
 FINAL_EXIT_CODES = frozenset({0, EXIT_USAGE, EXIT_GATE, EXIT_INTERRUPTED, EXIT_TERMINATED})
 """Exit codes that a retry would not change."""
@@ -82,6 +91,10 @@ class LocalProcesses:
             futures = [pool.submit(run_with_retries, training, self.retries) for training in trainings]
             for future in as_completed(futures):
                 yield future.result()
+        except Terminated:  # Ctrl-C reaches the trainings by itself, since it goes to all processes of a terminal
+            pool.shutdown(wait=False, cancel_futures=True)
+            stop_running()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -183,9 +196,25 @@ def run_logged(command: Sequence[str], log: Path, cores: int | None = None) -> i
         log: The log file.
         cores: Number of threads for OpenMP and Numba, unless the user's environment sets it; None sets nothing.
     """
-    log.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(log.parent)
     share = {} if cores is None else {name: str(cores) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
     environment = share | dict(os.environ)
     with log.open("a") as stream:
-        process = subprocess.run(list(command), stdout=stream, stderr=subprocess.STDOUT, env=environment, check=False)
-    return process.returncode if process.returncode >= 0 else 128 - process.returncode
+        process = subprocess.Popen(
+            list(command), stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, env=environment
+        )
+    _running.add(process)
+    try:
+        code = process.wait()
+    finally:
+        _running.discard(process)
+    return code if code >= 0 else 128 - code
+
+
+_running: set[subprocess.Popen[bytes]] = set()
+
+
+def stop_running() -> None:
+    """Let the programs of `run_logged` end: trainings save and stop; each is waited for where it was started."""
+    for process in tuple(_running):
+        process.terminate()

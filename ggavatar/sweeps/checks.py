@@ -10,6 +10,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps.cell import Cell
 from ggavatar.training.run_folder import RunConfig, read_config
+from ggavatar.training.same_capture import require_same_capture
 from ggavatar.training.session import configure, with_settled_features
 
 SHARED_FLAGS = ("preset", "steps", "max_gaussians", "split")
@@ -17,7 +18,7 @@ SHARED_FLAGS = ("preset", "steps", "max_gaussians", "split")
 
 
 def check_cells(cells: Sequence[Cell], options: Mapping[str, Any]) -> None:
-    """Check that every cell can be configured, and that runs in its folder were trained with the same flags.
+    """Check that every cell can be configured, and that runs in its folder were trained with the same flags and frames.
 
     Args:
         cells: The grid.
@@ -28,6 +29,7 @@ def check_cells(cells: Sequence[Cell], options: Mapping[str, Any]) -> None:
         InputError: A capture, method, setting or flag cannot be used; the message names the first.
     """
     opened: dict[Path, Capture] = {}
+    digests: dict[Path, str] = {}
     configured: dict[tuple[Path, str], RunConfig] = {}
     for cell in cells:
         key = cell.capture, cell.method
@@ -36,6 +38,9 @@ def check_cells(cells: Sequence[Cell], options: Mapping[str, Any]) -> None:
             configured[key], _ = configure(capture, {**options, "method": cell.method})
         if cell.has_begun:
             _check_earlier(cell, configured[key], options)
+            if cell.capture not in digests:
+                digests[cell.capture] = opened[cell.capture].digest()
+            require_same_capture(cell.folder, read_config(cell.folder), opened[cell.capture], digests[cell.capture])
     for config in {_features(config): config for config in configured.values()}.values():
         with_settled_features(config)  # fetched or refused once, before the first training
 

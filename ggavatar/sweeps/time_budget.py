@@ -7,7 +7,6 @@ and its mean time per step is that of a training of any length.
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,22 +45,24 @@ class PilotResult:
 
 
 def fitting_steps(minutes: float, pilot: Path, train: Callable[[Sequence[str]], int]) -> PilotResult:
-    """Train a pilot, compute how many steps fit, and remove the pilot's folder.
+    """Train a pilot, compute how many steps fit, and remove the pilot's run.
 
     Args:
         minutes: Wall time of the training, without start-up, evaluations on test frames and the pilot.
-        pilot: Folder for the pilot; what an earlier attempt left there is removed.
+        pilot: Folder for the pilot; the run that an earlier attempt left there is removed.
         train: Trains into that folder with these additional flags and returns the exit code.
 
     Raises:
         InputError: The pilot has logged too few times.
     """
-    shutil.rmtree(pilot, ignore_errors=True)
+    from ggavatar.training.run_folder import remove_run  # torch, which --help does without
+
+    remove_run(pilot)
     try:
         code = train(("--steps", str(PILOT_STEPS), "--eval-every", "0"))
         return PilotResult(code) if code else PilotResult(0, steps_within(minutes, seconds_per_step(read_times(pilot))))
     finally:
-        shutil.rmtree(pilot, ignore_errors=True)
+        remove_run(pilot)
 
 
 def read_times(run: Path) -> list[LoggedTime]:

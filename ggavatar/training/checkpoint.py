@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,12 @@ from safetensors import torch as safetensors
 from torch import Tensor, nn
 
 from ggavatar.errors import InputError
-from ggavatar.io.atomic import require_folder, write_atomically
+from ggavatar.io.atomic import write_atomically
+from ggavatar.io.digests import sha256_of
+from ggavatar.io.held_folders import require_folder
 from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.regular_files import read_file
+from ggavatar.text.terminal import write_err
 
 KEPT_CHECKPOINTS = 2
 """Number of complete checkpoints that are kept, the newest ones."""
@@ -97,13 +100,13 @@ def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Te
             raise InputError(f"{folder}: no complete checkpoint{damaged}; train again with ggavatar-train --overwrite")
         step = newest[0]
         for later in sorted(other for other in _steps(folder) if other > step):
-            sys.stderr.write(f"warning: {_path(folder, later)}: damaged; the checkpoint of step {step} is used\n")
+            write_err(f"warning: {_path(folder, later)}: damaged; the checkpoint of step {step} is used")
     record = _record(folder, step, digest=True)
     if record is None:
         available = ", ".join(map(str, complete_steps(folder, limit=None))) or "none"
         raise InputError(f"{_path(folder, step)}: missing or damaged; complete checkpoints: {available}")
     try:
-        return safetensors.load(_path(folder, step).read_bytes()), record
+        return safetensors.load(read_file(_path(folder, step), record["bytes"], "a checkpoint")), record
     except SafetensorError as error:
         raise InputError(f"{_path(folder, step)}: not a safetensors file ({error})") from error
 
@@ -132,7 +135,7 @@ def _record(folder: Path, step: int, digest: bool) -> dict[str, Any] | None:
             return None
         if record["step"] != step or path.stat().st_size != record["bytes"]:
             return None
-        if digest and hashlib.sha256(path.read_bytes()).hexdigest() != record["sha256"]:
+        if digest and sha256_of(path) != record["sha256"]:
             return None
     except (OSError, InputError, KeyError, TypeError, AttributeError):
         return None

@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import parse_json
+from ggavatar.io.regular_files import open_regular
+
+_MAX_LINE_BYTES = 1 << 20
 
 
 class Journal:
@@ -20,10 +24,10 @@ class Journal:
         """Keep the lines up to step `after`, cut off the others, and append from now on.
 
         Raises:
-            InputError: The path is a link, whose target may be someone else's.
+            InputError: The path is a link, whose target may be someone else's, or a folder, pipe or device.
         """
-        if path.is_symlink():
-            raise InputError(f"{path}: expected a journal of a training, found a link; remove it")
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise InputError(f"{path}: expected a journal of a training, found a link or no file; remove it")
         end = max((end for end, record in _records(path) if record["step"] <= after), default=0)
         self._file = path.open("r+b" if path.exists() else "xb")
         self._file.truncate(end)
@@ -46,15 +50,15 @@ def read_journal(path: Path) -> list[dict[str, Any]]:
 
 def _records(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """The complete lines with a step, each with the position of its end in the file."""
-    if not path.is_file():
+    if not path.exists():
         return
     end = 0
-    with path.open("rb") as file:
-        for line in file:
+    with open_regular(path, "a journal of a training") as file:
+        while line := file.readline(_MAX_LINE_BYTES):
             end += len(line)
             try:
-                record = json.loads(line) if line.endswith(b"\n") else None
-            except (ValueError, RecursionError):
+                record = parse_json(path, line) if line.endswith(b"\n") else {}
+            except InputError:
                 continue
-            if isinstance(record, dict) and type(record.get("step")) is int:
+            if type(record.get("step")) is int:
                 yield end, record

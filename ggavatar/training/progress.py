@@ -9,6 +9,8 @@ import sys
 import time
 from typing import Any, Protocol, runtime_checkable
 
+from ggavatar.text.terminal import write_out
+
 PLAIN_INTERVAL = 10.0
 """Least time between two plain lines, s."""
 
@@ -66,7 +68,7 @@ class ConsoleListener:
         if self._live:
             self._live.update(text, refresh=True)
         else:
-            sys.stdout.write(text + "\n")
+            write_out(text)
             sys.stdout.flush()
 
     def evaluated(self, step: int, psnr: float) -> None:

@@ -10,6 +10,7 @@ run/
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Iterable, Iterator
@@ -27,10 +28,11 @@ from ggavatar.data.scene import Scene
 from ggavatar.data.splits import Split, split_frames, split_name
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.io.atomic import is_partial
+from ggavatar.io.atomic import is_partial, remove_partial_files
 from ggavatar.io.dataclass_json import from_plain, to_plain
-from ggavatar.io.folder_lock import LOCK_FILES
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.folder_lock import is_lock_file, lock_folder
+from ggavatar.io.held_folders import make_folder
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
@@ -213,8 +215,9 @@ def holds_run(folder: Path) -> bool:
 
 def _foreign_files(folder: Path) -> list[Path]:
     """What is in a folder besides what a training leaves there that was stopped before its first step."""
-    own = {"checkpoints", "metrics", "split.json", "provenance.json", *LOCK_FILES}
-    return sorted(path for path in folder.iterdir() if path.name not in own and not is_partial(path))
+    own = {"checkpoints", "metrics", "split.json", "provenance.json"}
+    others = (path for path in folder.iterdir() if path.name not in own)
+    return sorted(path for path in others if not is_partial(path) and not is_lock_file(path))
 
 
 def create_run_folder(folder: Path, overwrite: bool) -> None:
@@ -225,15 +228,13 @@ def create_run_folder(folder: Path, overwrite: bool) -> None:
     """
     check_run_folder(folder, overwrite)
     _remove_own_files(folder)
-    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-    (folder / "metrics").mkdir(exist_ok=True)
+    for name in ("checkpoints", "metrics"):
+        make_folder(folder / name)
 
 
-def remove_partial_files(folder: Path) -> None:
+def remove_leftovers(folder: Path) -> None:
     """Remove the temporary files that a killed training has left."""
-    for path in [*folder.glob(".*"), *folder.glob("checkpoints/.*"), *folder.glob("metrics/.*")]:
-        if is_partial(path):
-            path.unlink(missing_ok=True)
+    remove_partial_files(folder, folder / "checkpoints", folder / "metrics")
 
 
 def _remove_own_files(folder: Path) -> None:
@@ -245,15 +246,34 @@ def _remove_own_files(folder: Path) -> None:
     ]
     for path in [*own, *(folder / name for name in ("config.json", "provenance.json", "split.json"))]:
         path.unlink(missing_ok=True)
-    remove_partial_files(folder)
+    remove_leftovers(folder)
+
+
+def remove_run(folder: Path) -> None:
+    """Remove a run that nobody needs any more; what somebody else put into its folder stays, and the folder with it.
+
+    Raises:
+        InputError: Another process is writing into it.
+    """
+    if not folder.is_dir():
+        return
+    with lock_folder(folder):
+        _remove_own_files(folder)
+    for path in (folder / "checkpoints", folder / "metrics", folder):
+        with contextlib.suppress(OSError):  # not there, or not empty
+            path.rmdir()
 
 
 def write_config(folder: Path, config: RunConfig, split: Split) -> None:
     """Write config.json and split.json."""
     capture = Path(config.capture)
-    relative = os.path.relpath(capture, folder.resolve())
-    write_json(folder / "split.json", {"name": config.split, "train": list(split.train), "test": list(split.test)})
-    write_json(
+    try:
+        relative = os.path.relpath(capture, folder.resolve())
+    except ValueError:  # on another drive of Windows
+        relative = ""
+    lists = {"train": list(split.train), "test": list(split.test)}
+    write_sealed_json(folder / "split.json", {"name": config.split, **lists})
+    write_sealed_json(
         folder / "config.json", {"schema": SCHEMA, "version": VERSION, "capture_relative": relative, **to_plain(config)}
     )
 
@@ -281,19 +301,29 @@ def read_config(folder: Path) -> RunConfig:
     return from_plain(RunConfig, own, str(path))
 
 
+def capture_places(folder: Path, config: RunConfig) -> list[Path]:
+    """Where the capture of a run may be: at its path relative to the run, then where it was when the training began.
+
+    The relative path comes first, so that a copy of both works with its own capture, whatever became of the original.
+    """
+    relative = _read_run_file(folder / "config.json").get("capture_relative")
+    beside = [folder / relative] if isinstance(relative, str) and relative else []
+    return [*beside, Path(config.capture)]
+
+
 def find_capture(folder: Path, config: RunConfig) -> Path:
-    """The capture of a run, at its absolute path or at its path relative to the run.
+    """The capture of a run, at one of `capture_places`.
 
     Raises:
-        InputError: It is at neither of them.
+        InputError: It is at none of them.
     """
-    moved = folder / str(_read_run_file(folder / "config.json").get("capture_relative", ""))
-    for path in (Path(config.capture), moved):
+    places = capture_places(folder, config)
+    for path in places:
         if (path / "capture.json").exists():
             return path
     raise InputError(
-        f"{folder}: expected its capture at {config.capture} or {moved}, found it at neither; move it back, or name "
-        "its new location with ggavatar-eval --capture"
+        f"{folder}: expected its capture at {' or '.join(map(str, places))}, found none there; move it back, or name "
+        "its new location with --capture"
     )
 
 

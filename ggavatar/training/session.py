@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,13 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
-from ggavatar.io.atomic import require_folder
 from ggavatar.io.folder_lock import lock_folder
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.held_folders import make_folder
+from ggavatar.io.json_files import write_sealed_json
 from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
+from ggavatar.text.terminal import write_out
 from ggavatar.training import registry
 from ggavatar.training.changed_settings import changed_settings
 from ggavatar.training.plan import TrainingPlan, preset
@@ -30,14 +30,14 @@ from ggavatar.training.run_folder import (
     check_run_folder,
     choose_split,
     create_run_folder,
-    find_capture,
     holds_run,
     make_scene,
     read_config,
     read_split,
-    remove_partial_files,
+    remove_leftovers,
     write_config,
 )
+from ggavatar.training.same_capture import require_same_capture
 from ggavatar.training.trainer import StopSignals, Trainer
 
 
@@ -79,7 +79,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             with lock_folder(output):
                 config, split = _resumed(output, capture, options), read_split(output)
                 trainer = make_trainer(output, config, capture, split)
-                remove_partial_files(output)
+                remove_leftovers(output)
                 done = _train(trainer, trainer.resume(), config, capture, stop, quiet)
         else:
             overwrite = bool(options.get("overwrite"))
@@ -87,7 +87,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             check_run_folder(output, overwrite)
             config = with_settled_features(config)
             trainer = make_trainer(output, config, capture, split)
-            output.mkdir(parents=True, exist_ok=True)  # the input is usable: a failed start leaves nothing behind
+            make_folder(output)  # the input is usable: a failed start leaves nothing behind
             with lock_folder(output):
                 create_run_folder(output, overwrite)
                 write_config(output, config, split)
@@ -116,13 +116,12 @@ def _train(trainer: Trainer, done: int, config: RunConfig, capture: Capture, sto
         return done
     provenance = provenance_of(config, capture, trainer.split)
     path = trainer.folder / "provenance.json"
-    write_json(path, provenance)
+    write_sealed_json(path, provenance)
     if not quiet:
-        sys.stdout.write(describe(config) + "\n")
+        write_out(describe(config))
         trainer.listener = ConsoleListener(done, config.training.steps)
     done = trainer.run(done, stop)
-    require_folder(trainer.folder)
-    write_json(path, {**provenance, **outcome_of(trainer, done)})
+    write_sealed_json(path, {**provenance, **outcome_of(trainer, done)})
     return done
 
 
@@ -229,34 +228,10 @@ def make_trainer(
     )
 
 
-def _check_capture(output: Path, config: RunConfig, capture: Capture) -> None:
-    """Check that a run is resumed on the capture that it began on, wherever that is now.
-
-    Raises:
-        InputError: Another capture, or one that has changed since.
-    """
-    try:
-        recorded = read_json(output / "provenance.json").get("capture_sha256")
-    except InputError:  # stopped before it was written
-        recorded = None
-    same_place = find_capture(output, config).resolve() == capture.folder.resolve()
-    if recorded is None and not same_place:
-        raise InputError(
-            f"{output}: was trained on {config.capture}, not on {capture.folder}; choose another folder with -o"
-        )
-    if recorded is not None and recorded != capture.digest():
-        changed = (
-            f"{capture.folder} has changed since the training began"
-            if same_place
-            else (f"was trained on {config.capture}, not on {capture.folder}, which has other contents")
-        )
-        raise InputError(f"{output}: {changed}; restore it, or choose another folder with -o")
-
-
 def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunConfig:
     """The configuration of the run in the output folder, after checking that the options do not contradict it."""
     config = read_config(output)
-    _check_capture(output, config, capture)
+    require_same_capture(output, config, capture, capture.digest())
     saved = {**dataclasses.asdict(config), **dataclasses.asdict(config.training)}
     saved["background"] = tuple(config.background)
     requested = dict(options)

@@ -18,6 +18,7 @@ from torch import Tensor
 from ggavatar.core import Frame, Rasterizer, Rendering
 from ggavatar.data.frames import Frames, evenly_spaced, random_order
 from ggavatar.data.splits import Split
+from ggavatar.io.held_folders import make_folder
 from ggavatar.training.checkpoint import (
     complete_steps,
     load_checkpoint,
@@ -152,8 +153,8 @@ class Trainer:
             OSError: A checkpoint cannot be written.
         """
         guard = FiniteGuard(self.plan.bad_steps)
-        for name in ("checkpoints", "metrics"):  # created here only: a folder that is removed later does not come back
-            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        for name in ("checkpoints", "metrics"):
+            make_folder(self.folder / name)
         train_log, eval_log = (Journal(self.folder / "metrics" / name, done) for name in ("train.jsonl", "eval.jsonl"))
         started, before = time.monotonic(), self.seconds
         saved = done

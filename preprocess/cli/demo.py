@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError
+from ggavatar.text.terminal import write_err, write_out
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,12 @@ class DemoOptions:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ggavatar-demo`; returns the exit code."""
+    return run_command(lambda: _write(_parse(arguments)))
+
+
+def _parse(arguments: list[str] | None) -> DemoOptions:
     handle_version_flag("ggavatar-demo", arguments)
-    options = tyro.cli(DemoOptions, args=arguments, prog="ggavatar-demo", description=DemoOptions.__doc__)
-    return run_command(lambda: _write(options))
+    return tyro.cli(DemoOptions, args=arguments, prog="ggavatar-demo", description=DemoOptions.__doc__)
 
 
 def _check(options: DemoOptions) -> None:
@@ -59,18 +62,23 @@ def _check(options: DemoOptions) -> None:
 
 def _write(options: DemoOptions) -> None:
     _check(options)
+    from ggavatar.io.folder_lock import lock_folder
+    from ggavatar.io.held_folders import make_folder
     from preprocess.synthetic.demo import DemoSettings, write_demo
-    from preprocess.synthetic.output_folder import prepare_demo_folder
+    from preprocess.synthetic.output_folder import check_demo_folder, prepare_demo_folder
 
-    prepare_demo_folder(options.output_dir, overwrite=options.overwrite)
     values = asdict(options)
-    folder = values.pop("output_dir")
-    values.pop("overwrite")
-    for _ in _with_progress(write_demo(folder, DemoSettings(**values)), options.frames):
-        pass
-    sys.stdout.write(
-        f"wrote {folder}\nnext: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
-        f"--masks {folder / 'masks'} --head-model {folder / 'head.npz'} --size {options.size} -o capture\n"
+    folder, overwrite = values.pop("output_dir"), values.pop("overwrite")
+    check_demo_folder(folder, overwrite=overwrite)
+    make_folder(folder)
+    with lock_folder(folder):
+        prepare_demo_folder(folder, overwrite=overwrite)
+        for _ in _with_progress(write_demo(folder, DemoSettings(**values)), options.frames):
+            pass
+    write_out(
+        f"wrote {folder}",
+        f"next: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
+        f"--masks {folder / 'masks'} --head-model {folder / 'head.npz'} --size {options.size} -o capture",
     )
 
 
@@ -84,5 +92,5 @@ def _with_progress(work: Iterator[int], total: int) -> Iterator[int]:
         return
     for index in work:
         if (index + 1) % max(1, total // 10) == 0 or index + 1 == total:
-            sys.stderr.write(f"rendered {index + 1} of {total} frames\n")
+            write_err(f"rendered {index + 1} of {total} frames")
         yield index

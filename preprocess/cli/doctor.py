@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import GateError
+from ggavatar.text.terminal import write_out
+
+if TYPE_CHECKING:
+    from ggavatar.data.capture import Capture
+    from ggavatar.head.model import HeadModel
+    from preprocess.doctor.diagnosis import Diagnosis
 
 
 @dataclass(frozen=True)
@@ -33,9 +41,29 @@ class DoctorOptions:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-doctor`; returns the exit code."""
+    return run_command(lambda: _examine(_parse(None if arguments is None else list(arguments))))
+
+
+def _parse(arguments: list[str] | None) -> DoctorOptions:
     handle_version_flag("ggavatar-doctor", arguments)
-    options = tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=None if arguments is None else list(arguments))
-    return run_command(lambda: _examine(options))
+    return tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=arguments)
+
+
+def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:
+    """Write report and preview into the capture."""
+    from ggavatar.io.folder_lock import lock_folder
+    from preprocess.doctor.diagnosis import write_report
+    from preprocess.doctor.preview import write_preview
+
+    try:
+        with lock_folder(capture.folder):
+            write_report(capture, diagnosis)
+            write_preview(capture, head)
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
+        what = f"{capture.folder}: cannot be written ({error.strerror})"
+        raise OSError(f"{what}; add --dry-run to examine it without writing") from error
 
 
 def _examine(options: DoctorOptions) -> int:
@@ -44,19 +72,17 @@ def _examine(options: DoctorOptions) -> int:
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
     from preprocess.cli.terminal import report_lines
-    from preprocess.doctor.diagnosis import examine, write_report
-    from preprocess.doctor.preview import write_preview
+    from preprocess.doctor.diagnosis import examine
 
     capture = Capture.open(options.capture)
     head = load_head(capture.head_path)
     diagnosis = examine(capture, head)
     if not options.dry_run:
-        write_report(capture, diagnosis)
-        write_preview(capture, head)
+        _write(capture, head, diagnosis)
     if options.json:
         sys.stdout.write(json.dumps(diagnosis.json(), default=float) + "\n")
     else:
-        sys.stdout.write("".join(f"{line}\n" for line in report_lines(diagnosis.json())))
+        write_out(*report_lines(diagnosis.json()))
     if options.strict and not diagnosis.healthy:
         raise GateError(f"{options.capture}: the doctor found a fault (--strict)")
     return 0

@@ -19,12 +19,15 @@ from preprocess.options import PrepOptions
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-prep`; returns the exit code."""
+    return run_command(lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)))
+
+
+def _parse(arguments: Sequence[str]) -> PrepOptions:
     import tyro
 
-    given = _protect_dashed_paths(sys.argv[1:] if arguments is None else arguments)
+    given = _protect_dashed_paths(arguments)
     handle_version_flag("ggavatar-prep", given)
-    options = tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
-    return run_command(lambda: _prepare_resumable(options))
+    return tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
 
 
 def _protect_dashed_paths(arguments: Sequence[str]) -> list[str]:
@@ -54,8 +57,8 @@ def _prepare_resumable(options: PrepOptions) -> int:
     """Prepare; an interrupt tells the user how to resume."""
     try:
         return _prepare(options)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("finished stages are kept; run the same command with --resume to continue") from None
+    except KeyboardInterrupt as stop:
+        raise type(stop)("finished stages are kept; run the same command with --resume to continue") from None
 
 
 def _prepare(options: PrepOptions) -> int:

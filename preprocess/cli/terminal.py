@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ggavatar.text.terminal import write_err, write_out
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage
 
@@ -21,7 +22,6 @@ class Terminal:
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
         self._errors = Console(stderr=True, highlight=False, soft_wrap=True)
-        self._output = Console(highlight=False, soft_wrap=True)
         self._warnings: list[str] = []
         self._notes: list[str] = []
 
@@ -37,27 +37,22 @@ class Terminal:
             yield line
         if not self._quiet:
             done = "unchanged" if skipped else f"{line.done or ''} {time.monotonic() - began:.1f} s".strip()
-            self._errors.print(f"{stage.title}: {done}", markup=False)
+            write_err(f"{stage.title}: {done}")
 
     def summary(self, options: PrepOptions, results: Mapping[str, Mapping[str, Any]]) -> None:
         """Print the warnings, what was written, what was lost and the next command."""
-        for warning in self._warnings:
-            self._errors.print(f"warning: {warning}", markup=False)
-        for note in () if self._quiet else self._notes:
-            self._errors.print(f"note: {note}", markup=False)
+        write_err(*(f"warning: {warning}" for warning in self._warnings))
+        write_err(*(f"note: {note}" for note in self._notes if not self._quiet))
         lines = report_lines(results["doctor"])
-        for line in lines if not self._quiet else [line for line in lines if line.startswith("fault")]:
-            self._errors.print(line, markup=False)
+        write_err(*(line for line in lines if not self._quiet or line.startswith("fault")))
         if self._quiet:
             return
         packed, folder = results["pack"], options.output_dir
         reasons = ", ".join(f"{count} {reason}" for reason, count in packed["dropped_reasons"].items())
         lost = f", {packed['dropped']} left out ({reasons})" if packed["dropped"] else ""
-        self._output.print(f"capture with {packed['frames']} frames{lost}: {folder}", markup=False)
+        write_out(f"capture with {packed['frames']} frames{lost}: {folder}")
         step = "next" if results["doctor"]["healthy"] else "not healthy: see above; to train nevertheless"
-        self._output.print(
-            f"{step}: ggavatar-train {shlex.quote(str(folder))} -o runs/{shlex.quote(folder.name)}", markup=False
-        )
+        write_out(f"{step}: ggavatar-train {shlex.quote(str(folder))} -o runs/{shlex.quote(folder.name)}")
 
 
 class _StageLine:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -14,6 +13,7 @@ import numpy as np
 from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
+from ggavatar.io.json_files import readable_json
 from preprocess.doctor import quality
 from preprocess.doctor.convention_ranking import (
     IOU_TIE_MARGIN,
@@ -347,7 +347,7 @@ def _landmarks(error: float, capture: Capture) -> list[Finding]:
 
 def write_report(capture: Capture, diagnosis: Diagnosis) -> None:
     """Write doctor.json into the capture."""
-    text = json.dumps(plain_values(diagnosis.json()), ensure_ascii=False, indent=1, allow_nan=False)
+    text = readable_json(plain_values(diagnosis.json()), indent=1)
     write_text(capture.folder / REPORT, text)
 
 

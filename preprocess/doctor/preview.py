@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,9 +13,12 @@ from jaxtyping import Float, UInt8
 from ggavatar.data.capture import Capture
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg
+from ggavatar.text.names import displayable
 from preprocess.tracking.geometry.projection import posed_vertices, project
 
 COLUMNS, SIDE, LINE = 8, 256, 24
+MAX_LINES = 20
+"""Most lines on dropped frames."""
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction towards the light in world axes."""
 
@@ -36,14 +40,27 @@ def dropped_strip(dropped: Sequence[Mapping[str, Any]], width: int) -> UInt8[np.
     for item in dropped:
         numbers.setdefault(str(item.get("reason", "dropped")), []).append(int(item.get("frame", -1)))
     lines = [f"left out: {len(found)} x {reason}: {_ranges(found)}" for reason, found in numbers.items()]
+    if len(lines) > MAX_LINES:
+        lines = [*lines[: MAX_LINES - 1], f"... {len(lines) - MAX_LINES + 1} more reasons in capture.json"]
     strip = np.zeros((LINE * len(lines) + 8, width, 3), np.uint8)
     for place, line in enumerate(lines):
-        # OpenCV's fonts have ASCII only.
-        text = line.encode("ascii", "replace").decode()[: width // 9]
         strip = cv2.putText(
-            strip, text, (6, LINE * place + 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 0), 1, cv2.LINE_AA
+            strip,
+            drawable(line)[: width // 9],
+            (6, LINE * place + 18),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.5,
+            (255, 255, 0),
+            1,
+            cv2.LINE_AA,
         )
     return strip
+
+
+def drawable(text: str) -> str:
+    """The text in the characters of OpenCV's fonts, ASCII: letters without their accents, `?` for all others."""
+    decomposed = unicodedata.normalize("NFKD", displayable(text))
+    return "".join(c for c in decomposed if not unicodedata.combining(c)).encode("ascii", "replace").decode()
 
 
 def _ranges(numbers: Sequence[int]) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 from ggavatar.errors import InputError
 from ggavatar.io.npz import npz_headers, read_npy, read_npz
+from ggavatar.io.regular_files import read_start
 from ggavatar.io.restricted_pickle import read_pickle
 
 MAX_NPY_BYTES = 1 << 20
@@ -48,8 +49,7 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, Any]:
 
 
 def _head(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(2)
+    return read_start(path, 2)
 
 
 def _is_archive(path: Path) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ggavatar.errors import InputError
+from ggavatar.io.regular_files import read_start
 from ggavatar.io.restricted_pickle import read_pickle
 
 _PLACES = (".", "checkpoint")
@@ -50,8 +51,7 @@ def _is_pickle(path: Path) -> bool:
     """Whether a file begins as a zip or as a binary pickle; the rest is not looked at."""
     if not path.is_file():
         return False
-    with path.open("rb") as stream:
-        head = stream.read(2)
+    head = read_start(path, 2)
     return head == b"PK" or head[:1] == b"\x80"
 
 

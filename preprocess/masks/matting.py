@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from ggavatar.errors import InputError
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.masks.cleanup import coverage_to_mask, keep_largest_component
-from preprocess.masks.networks import MaskNetwork, RvmOnnx, RvmTorchScript, SelfieNetwork
+from preprocess.masks.networks import MaskNetwork, RvmOnnx, SelfieNetwork
 
 EDGE_LEVEL, EDGE_GAIN = 0.57, 1.8
 """Coverage level that becomes 0.5, and contrast around it: the network's coverage extends slightly too far.
@@ -49,25 +49,31 @@ class Matting(Protocol):
 
 
 def open_matting(wanted: str, models: Path | None, offline: bool) -> Matting:
-    """The matting method for `--masks`: MediaPipe's network, GrabCut, or RVM from the user's file.
+    """The matting method for `--masks`: MediaPipe's network, GrabCut, or RVM, of the catalogue or the user's file.
 
     Raises:
-        InputError: No such file, or not an RVM network.
+        InputError: No such file, not an RVM network, or a TorchScript file, which is a program.
     """
-    if wanted in ("auto", "selfie"):
-        from ggavatar.pretrained.resolve import resolve
+    from ggavatar.pretrained.resolve import resolve
 
+    if wanted in ("auto", "selfie"):
         return SelfieMatting(SelfieNetwork(resolve("selfie_segmentation", models, offline)))
     if wanted == "grabcut":
         from preprocess.masks.grabcut import GrabCutMatting
 
         return GrabCutMatting()
+    if wanted == "rvm":
+        return VideoMatting(RvmOnnx(resolve("rvm", models, offline)), "rvm")
     path = Path(wanted)
-    if not path.is_file():
-        raise InputError(f"--masks {wanted}: no such file or folder; expected one, or auto, selfie, grabcut")
-    if path.suffix.lower() == ".onnx":
-        return VideoMatting(RvmOnnx(path), f"rvm ({path.name})")
-    return VideoMatting(RvmTorchScript(path), f"rvm ({path.name})")
+    if not path.exists():
+        raise InputError(f"--masks {wanted}: no such file or folder; expected one, or auto, selfie, rvm, grabcut")
+    if path.suffix.lower() != ".onnx":
+        raise InputError(
+            f"--masks {wanted}: expected an RVM network as .onnx. TorchScript and PyTorch files (.torchscript, .pt, "
+            ".pth) are programs and are not read; --masks rvm uses the same network, which ggavatar-models --fetch rvm "
+            "gets, with onnxruntime (pip install onnxruntime)"
+        )
+    return VideoMatting(RvmOnnx(path), f"rvm ({path.name})")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,10 @@
-"""Networks that segment a person: MediaPipe's selfie segmentation, and Robust Video Matting from the user's file."""
+"""Networks that segment a person: MediaPipe's selfie segmentation, and Robust Video Matting.
+
+Networks are data here: TFLite through OpenCV, ONNX through onnxruntime. No format that can hold a program is read.
+"""
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -11,8 +13,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from ggavatar.errors import InputError
+from ggavatar.io.regular_files import read_file
 
 SELFIE_SIDE = 256
+MAX_NETWORK_BYTES = 1 << 28
+_EXTERNAL = b"\x0a\x08location\x12"
+"""How ONNX (a protocol buffer) begins the name of another file that holds a tensor: the key `location`, then a text."""
+_ADVICE = "--masks rvm uses RVM's own file, which ggavatar-models --fetch rvm gets"
 
 
 @runtime_checkable
@@ -33,7 +40,8 @@ class SelfieNetwork:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._network = cv2.dnn.readNetFromTFLite(str(path))
+            content = read_file(path, MAX_NETWORK_BYTES, "a network")
+            self._network = cv2.dnn.readNetFromTFLite(np.frombuffer(content, np.uint8))
         except cv2.error as error:
             raise InputError(f"{path}: OpenCV cannot load this network ({error.err}); download it again") from error
 
@@ -49,70 +57,52 @@ def rvm_downsampling(height: int, width: int) -> float:
     return min(512 / max(height, width), 1.0)
 
 
-class RvmTorchScript:
-    """Robust Video Matting as TorchScript (the user's file; GPL-3.0, not distributed); recurrent over the images.
-
-    Raises:
-        InputError: Not a TorchScript file, or not RVM's.
-    """
-
-    def __init__(self, path: Path) -> None:
-        import torch
-
-        self._torch = torch
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # newer torch deprecates TorchScript, in which RVM is published
-                self._module = torch.jit.load(str(path), map_location="cpu").eval()
-        except (RuntimeError, ValueError) as error:
-            raise InputError(
-                f"{path}: not a TorchScript file ({str(error).splitlines()[0]}); use rvm_mobilenetv3_fp32.torchscript"
-            ) from error
-        self._path, self._state = path, [None, None, None, None]
-
-    def coverage(self, image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w"]:
-        """Alpha in [0, 1] at the image's resolution; call in frame order."""
-        source = self._torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255
-        try:
-            with self._torch.no_grad():
-                _, alpha, *self._state = self._module(source, *self._state, rvm_downsampling(*image.shape[:2]))
-        except (RuntimeError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{self._path}: expected RVM's interface (image, 4 states, ratio → color, alpha, 4 states); use "
-                "rvm_mobilenetv3_fp32.torchscript"
-            ) from error
-        return alpha[0, 0].numpy()
-
-
 class RvmOnnx:
     """Robust Video Matting as ONNX through onnxruntime, which the user installs; recurrent over the images.
+
+    An ONNX file is a list of operators and numbers and runs no code. RVM's TorchScript files are programs, which can
+    write files, and are not read. OpenCV's DNN module (4.14) cannot load RVM.
 
     Raises:
         InputError: onnxruntime is missing, or the file is not RVM's.
     """
 
     def __init__(self, path: Path) -> None:
+        content = read_file(path, MAX_NETWORK_BYTES, "a network")
+        if _EXTERNAL in content:
+            raise InputError(f"{path}: expected a network in one file, found one that reads others; {_ADVICE}")
         try:
             import onnxruntime  # type: ignore[import-not-found]
         except ImportError as error:
-            raise InputError(
-                f"{path}: ONNX files need onnxruntime; pip install onnxruntime, or use RVM's .torchscript file"
-            ) from error
+            raise InputError(f"{path}: ONNX files need onnxruntime: pip install onnxruntime") from error
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 4  # its warnings quote names from the file, a line for each
         try:
-            self._session: Any = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+            self._session: Any = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's exceptions share no base but Exception
-            raise InputError(f"{path}: onnxruntime cannot load this file ({str(error).splitlines()[0]})") from error
+            raise InputError(f"{path}: onnxruntime cannot load this file ({_first_line(error)}); {_ADVICE}") from error
         names = {item.name for item in self._session.get_inputs()}
         if not {"src", "r1i", "r2i", "r3i", "r4i", "downsample_ratio"} <= names:
+            found = ", ".join(sorted(names))
             raise InputError(
-                f"{path}: expected RVM's inputs src, r1i … r4i, downsample_ratio; found {', '.join(sorted(names))}"
+                f"{path}: expected RVM's inputs src, r1i … r4i, downsample_ratio; found {found:.200}; {_ADVICE}"
             )
-        self._state = [np.zeros((1, 1, 1, 1), np.float32)] * 4
+        self._path, self._state = path, [np.zeros((1, 1, 1, 1), np.float32)] * 4
 
     def coverage(self, image: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "h w"]:
         """Alpha in [0, 1] at the image's resolution; call in frame order."""
         ratio = np.array([rvm_downsampling(*image.shape[:2])], np.float32)
         source = (image.astype(np.float32) / 255).transpose(2, 0, 1)[None]
         states = {f"r{index}i": state for index, state in enumerate(self._state, start=1)}
-        _, alpha, *self._state = self._session.run(None, {"src": source, "downsample_ratio": ratio, **states})
+        try:
+            outputs = self._session.run(None, {"src": source, "downsample_ratio": ratio, **states})
+        except Exception as error:  # as above
+            raise InputError(f"{self._path}: onnxruntime cannot run it ({_first_line(error)}); {_ADVICE}") from error
+        if len(outputs) != 6 or np.shape(outputs[1]) != (1, 1, *image.shape[:2]):
+            raise InputError(f"{self._path}: expected color, alpha and 4 states, found other outputs; {_ADVICE}")
+        _, alpha, *self._state = outputs
         return alpha[0, 0]
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0][:200]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import InputError
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
@@ -50,7 +51,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     options, source = context.options, context.results["frames"]
     crop = choose_crop(context)
     folder = context.folder / "images"
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     numbers = list(source["numbers"])
     wanted = selection_of(options).keep(open_input(options).frames())
     done = 0

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import GateError, InputError
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.io.ordered_map import ordered_map
 from preprocess.masks.checks import is_empty
@@ -22,7 +23,7 @@ from preprocess.pipeline.stage import Stage, StageContext, file_state
 from preprocess.video.crop import crop_from_json
 from preprocess.video.image_folder import numbered_images
 
-KINDS = ("auto", "selfie", "grabcut")
+KINDS = ("auto", "selfie", "rvm", "grabcut")
 NO_MASK, EMPTY_MASK = "no mask", "empty mask"
 """Reasons in capture.json."""
 
@@ -42,7 +43,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 def run(context: StageContext) -> Mapping[str, Any]:
     """Write `masks/%06d.png`; the result lists the frames that have a mask, and reasons for the others."""
-    (context.folder / "masks").mkdir(parents=True, exist_ok=True)
+    make_folder(context.folder / "masks")
     wanted = context.options.masks
     if wanted not in KINDS and Path(wanted).is_dir():
         return _user_masks(context, Path(wanted))

@@ -10,6 +10,8 @@ from typing import Any
 from ggavatar.data.capture import TRACKING, Capture, Tracking
 from ggavatar.data.capture_schema import read_tracking
 from ggavatar.data.splits import split_frames, split_name
+from ggavatar.io.held_folders import make_folder
+from ggavatar.text.names import clean_name
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
 
@@ -35,7 +37,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     rules = ["every-20th", *(rule for rule in context.options.split if rule != "every-20th")]
     capture = Capture(
         folder=context.folder,
-        subject=context.options.subject or context.options.input.stem,
+        subject=clean_name(context.options.subject or context.options.input.stem),
         width=crop["out_width"],
         height=crop["out_height"],
         fps=context.results["evidence"]["fps"],
@@ -58,7 +60,7 @@ def _put_aside(capture: Capture) -> None:
     """Move images and masks of dropped frames into the records, where they are no part of the capture."""
     for folder in FOLDERS:
         aside = capture.folder / DROPPED / folder
-        aside.mkdir(parents=True, exist_ok=True)
+        make_folder(aside)
         for item in capture.dropped:
             path = capture.image_path(folder, item["frame"])
             if path.exists():
@@ -69,7 +71,7 @@ def restore_dropped(folder: Path) -> None:
     """Move them back: another run of a stage may drop other frames."""
     for name in FOLDERS:
         for path in sorted((folder / DROPPED / name).glob("[0-9]*.png")):
-            (folder / name).mkdir(exist_ok=True)
+            make_folder(folder / name)
             path.replace(folder / name / path.name)
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from ggavatar.data.capture import DESCRIPTION
 from ggavatar.errors import InputError
+from ggavatar.io.atomic import remove_partial_files
+from ggavatar.io.folder_lock import is_lock_file, lock_folder
+from ggavatar.io.held_folders import make_folder
 from preprocess.options import PrepOptions
 from preprocess.pipeline import (
     crop_stage,
@@ -29,6 +31,8 @@ from preprocess.pipeline.stage import (
     StageContext,
     fingerprint,
     finished_result,
+    forget_stages,
+    may_begin,
     repeat_messages,
     was_interrupted,
     write_record,
@@ -69,7 +73,20 @@ def run_pipeline(
         InputError: Unusable input, or an output folder that must not be written to.
     """
     fingerprints = _fingerprints(options, stages)
-    prepare_folder(options)
+    check_folder(options, stages[0], fingerprints[0])
+    make_folder(options.output_dir)
+    with lock_folder(options.output_dir):
+        check_folder(options, stages[0], fingerprints[0])  # again: another process may have had the lock until now
+        _begin(options, stages)
+        return _run_stages(options, reporter, stages, fingerprints)
+
+
+def _run_stages(
+    options: PrepOptions,
+    reporter: Callable[[Stage, bool], AbstractContextManager[Reporter]],
+    stages: tuple[Stage, ...],
+    fingerprints: Sequence[str],
+) -> Results:
     results: dict[str, Mapping[str, Any]] = {}
     for stage, fingerprint_ in zip(stages, fingerprints, strict=True):
         result = finished_result(options.output_dir, stage, fingerprint_)
@@ -96,9 +113,9 @@ def _run(stage: Stage, context: StageContext, wanted: str, recording: RecordingR
     """Run one stage.
 
     capture.json is removed first: until packing has finished the folder is no capture, so that nobody reads a mixture
-    of old and new files.
+    of old and new files. Reading the video changes nothing, so that an earlier capture outlives a video that is none.
     """
-    if stage.name != doctor_stage.STAGE.name:
+    if stage.name not in (read_stage.STAGE.name, doctor_stage.STAGE.name):
         (context.folder / DESCRIPTION).unlink(missing_ok=True)
         pack_stage.restore_dropped(context.folder)
     if not was_interrupted(context.folder, stage, wanted):
@@ -119,32 +136,48 @@ def _remove_output(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def prepare_folder(options: PrepOptions) -> None:
-    """Create the output folder, or check that the existing one may be written to.
+def check_folder(options: PrepOptions, first: Stage, wanted: str) -> None:
+    """Check that the output folder may be written to; nothing is changed.
 
-    Only a folder with our records in it is ever emptied; any other folder of the user is never touched.
+    A folder that a start of this command has left without a capture is continued, unless it began with another input.
+
+    Args:
+        options: The user's options.
+        first: The first stage.
+        wanted: Its fingerprint.
 
     Raises:
-        InputError: The folder must not be written to, or contains an input.
+        InputError: The folder must not be written to, or contains an input, or --resume finds nothing to continue.
     """
     folder = options.output_dir
     if options.resume and options.overwrite:
         raise InputError("--resume and --overwrite are mutually exclusive; give one of them")
     _check_apart(options)
-    if folder.exists():
-        ours = (folder / RECORDS).is_dir()
-        if not folder.is_dir():
-            raise InputError(f"{folder}: exists and is not a folder; choose another one with -o")
-        if any(folder.iterdir()) and not ours:
-            raise InputError(f"{folder}: exists and was not made by ggavatar-prep; choose another folder with -o")
-        if ours and not (options.resume or options.overwrite) and any(e.name != RECORDS for e in folder.iterdir()):
-            raise InputError(
-                f"{folder}: exists already; pass --resume to continue in it, --overwrite to replace it, or choose "
-                "another folder with -o"
-            )
-        if ours and options.overwrite:
-            shutil.rmtree(folder)
-    (folder / RECORDS).mkdir(parents=True, exist_ok=True)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: exists and is not a folder; choose another one with -o")
+    entries = list(folder.iterdir()) if folder.exists() else []
+    if options.resume and not entries:
+        raise InputError(
+            f"{folder}: --resume found no capture to continue here; check -o, or omit --resume to start one"
+        )
+    if not (folder / RECORDS).is_dir() and not all(map(is_lock_file, entries)):
+        raise InputError(f"{folder}: exists and was not made by ggavatar-prep; choose another folder with -o")
+    if options.resume or options.overwrite:
+        return
+    if (folder / DESCRIPTION).exists() or not may_begin(folder, first, wanted):
+        raise InputError(
+            f"{folder}: exists already; pass --resume to continue in it, --overwrite to replace it, or choose another "
+            "folder with -o"
+        )
+
+
+def _begin(options: PrepOptions, stages: tuple[Stage, ...]) -> None:
+    """Prepare the locked output folder; with --overwrite, every stage replaces what it wrote, and nothing else."""
+    records = options.output_dir / RECORDS
+    make_folder(records)
+    if options.overwrite:
+        forget_stages(options.output_dir, stages)
+    remove_partial_files(options.output_dir, records, *(options.output_dir / name for name in ("images", "masks")))
 
 
 def _check_apart(options: PrepOptions) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from ggavatar.errors import GateError, InputError
-from ggavatar.io.digests import sha256_of
+from ggavatar.io.digests import sha256_of, sha256_of_folder
 from ggavatar.landmarks.detector import FaceBox
 from preprocess.evidence.people import describe_others, follow_one
 from preprocess.options import PrepOptions
@@ -89,7 +87,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         context.reporter.note(f"{options.input}: {conversion}")
     return {
         "name": options.input.name,
-        "sha256": _digest(options.input),
+        "sha256": (sha256_of_folder if options.input.is_dir() else sha256_of)(options.input),
         "width": size[0],
         "height": size[1],
         "fps": (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 25.0,
@@ -151,17 +149,6 @@ def _face_finder(options: PrepOptions) -> Any:
         return detector.detect_all(frame.image)
 
     return find
-
-
-def _digest(path: Path) -> str:
-    """SHA-256 of a file, or of the names and contents of the files in a folder."""
-    if path.is_file():
-        return sha256_of(path)
-    total = hashlib.sha256()
-    for entry in sorted(path.iterdir()):
-        if entry.is_file():
-            total.update(entry.name.encode() + b"\0" + entry.read_bytes())
-    return total.hexdigest()
 
 
 STAGE = Stage("frames", "Reading the video", inputs, run, version=2)

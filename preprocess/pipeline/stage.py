@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 from ggavatar.data.capture_schema import RECORDS
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import read_json, readable_json
 from preprocess.options import PrepOptions
 
 
@@ -141,9 +141,25 @@ def was_interrupted(folder: Path, stage: Stage, wanted: str) -> bool:
     return record.get("fingerprint") == wanted and "result" not in record
 
 
+def may_begin(folder: Path, first: Stage, wanted: str) -> bool:
+    """Whether the stages may run in a folder without a finished capture: nobody began with another input there."""
+    record = _read_record(folder, first)
+    return "result" not in record or record.get("fingerprint") == wanted
+
+
+def forget_stages(folder: Path, stages: Sequence[Stage]) -> None:
+    """Remove the records of stages, so that all of them run again; each then replaces its own outputs."""
+    for stage in stages:
+        _record_path(folder, stage).unlink(missing_ok=True)
+
+
 def _read_record(folder: Path, stage: Stage) -> Mapping[str, Any]:
+    """The record of a stage; a damaged one is as good as none, since the stage then runs again."""
     path = _record_path(folder, stage)
-    return read_json(path) if path.exists() else {}
+    try:
+        return read_json(path) if path.exists() else {}
+    except InputError:
+        return {}
 
 
 def repeat_messages(folder: Path, stage: Stage, reporter: Reporter) -> None:
@@ -161,5 +177,5 @@ def write_record(
 ) -> None:
     """Record that a stage has started (`result` is None) or finished, with the warnings and notes it reported."""
     finished = {} if result is None else {"result": dict(result), "messages": list(messages)}
-    text = json.dumps({"fingerprint": wanted} | finished, ensure_ascii=False, indent=1, allow_nan=False)
+    text = readable_json({"fingerprint": wanted} | finished, indent=1)
     write_text(_record_path(folder, stage), text)

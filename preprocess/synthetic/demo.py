@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from numpy import ndarray
 
 from ggavatar.head.files import save_head
 from ggavatar.head.procedural.model import procedural_names
+from ggavatar.io.atomic import write_atomically, write_text
 from ggavatar.jit.threads import run
 from preprocess.formats.importers.metrical_tracker import frame_dictionary
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
@@ -43,17 +45,23 @@ def write_demo(folder: Path, settings: DemoSettings) -> Iterator[int]:
     studio = Studio(settings.identity, performance, settings.size, settings.background)
     truth = true_record(performance, settings.size, studio.identity)
     tracked = add_tracker_errors(truth, settings.noise, settings.seed)
+    write_manifest(folder, asdict(settings), settings.frames, complete=False)  # first: says what is ours here
     with DemoFolder(folder, settings.size, FPS) as output:
-        write_manifest(folder, asdict(settings), settings.frames)
         save_head(studio.head, folder / "head.npz")
         _write_truth(folder / "truth.npz", truth, names)
-        (folder / "README.txt").write_text(_readme(settings), encoding="utf-8")
+        write_text(folder / "README.txt", _readme(settings))
         for first in range(0, settings.frames, _BATCH):
             numbers = range(first, min(first + _BATCH, settings.frames))
             for index, (image, alpha) in zip(numbers, _rendered(studio, numbers), strict=True):
                 output.add(index, image, alpha)
-                torch.save(frame_dictionary(tracked, index) | {"global_step": index}, output.tracking(index))
+                _write_frame(output.tracking(index), frame_dictionary(tracked, index) | {"global_step": index})
                 yield index
+    write_manifest(folder, asdict(settings), settings.frames, complete=True)
+
+
+def _write_frame(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a file of metrical-tracker, atomically."""
+    write_atomically(path, lambda stream: torch.save(content, stream), durable=False)
 
 
 def _rendered(studio: Studio, numbers: range) -> list[tuple[ndarray, ndarray]]:
@@ -89,9 +97,7 @@ def true_record(performance: Performance, size: int, identity: ndarray) -> Track
 
 def _write_truth(path: Path, truth: TrackingRecord, names: tuple[str, ...]) -> None:
     """Write the true parameters, for tests of trackers."""
-    np.savez_compressed(
-        path,
-        allow_pickle=False,
+    arrays = dict(
         fps=np.asarray(float(FPS)),
         intrinsics=truth.intrinsics,
         world_to_camera=truth.world_to_camera,
@@ -102,6 +108,7 @@ def _write_truth(path: Path, truth: TrackingRecord, names: tuple[str, ...]) -> N
         translation=truth.translation,
         shape=np.asarray(truth.shape),
     )
+    write_atomically(path, lambda stream: np.savez_compressed(stream, allow_pickle=False, **arrays))
 
 
 def _readme(settings: DemoSettings) -> str:

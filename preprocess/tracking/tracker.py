@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ggavatar.data.capture import Tracking
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.model import HeadModel
 from ggavatar.landmarks.average_face import average_face
 from ggavatar.landmarks.bundle import CanonicalFace, canonical_face
@@ -26,7 +27,7 @@ from preprocess.tracking.flame_tracker import track_flame
 from preprocess.tracking.geometry.landmark_topology import LEFT_IRIS, RIGHT_IRIS, rigidity, surface_stability
 from preprocess.tracking.geometry.rigid import RigidPoses
 from preprocess.tracking.geometry.smoothing import penalty, pose_jitter, smooth
-from preprocess.tracking.head.expression_axes import AXES, score
+from preprocess.tracking.head.expression_axes import score
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.tracking.head.personal_head import NECK_UNIT, assemble_head, move_eyes
 from preprocess.tracking.head.silhouette_fit import fit_silhouette, silhouette_overlap, vertex_normals
@@ -148,10 +149,10 @@ def _fit_head(
     refine: bool = True,
 ) -> tuple[ClipFit, TrackedSequence]:
     """Expressions, gaze and torso for given poses, and the head model; its outline does not need `refine`."""
-    fit = fit_face(observations.clip, face, generic, max(0, settings.expressions - len(AXES)), estimate, refine)
+    fit = fit_face(observations.clip, face, generic, max(0, settings.expressions - len(TRACKED_AXES)), estimate, refine)
     fit = _with_gaze_centered(observations, fit, generic)
     axes = fit.model.axes
-    parts = (axes[:, :, : len(AXES)], axes[:, :, len(AXES) : -2], axes[:, :, -2:])
+    parts = (axes[:, :, : len(TRACKED_AXES)], axes[:, :, len(TRACKED_AXES) : -2], axes[:, :, -2:])
     head = assemble_head(generic, fit.shape, *parts)
     tracking = _tracking(observations, fit, settings.smooth)
     masks = observations.outline_masks

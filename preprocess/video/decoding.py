@@ -14,6 +14,7 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.images import MAX_PIXELS
+from ggavatar.io.regular_files import open_regular
 from preprocess.video.alpha_stream import alpha_decoder, has_alpha
 from preprocess.video.frame import DecodedFrame
 from preprocess.video.frame_conversion import (
@@ -42,7 +43,7 @@ class Video:
         self.path = path
         self._decode_errors: list[str] = []
         self._conversions: list[str] = []
-        with path.open("rb") as file, self._container(file) as container:
+        with open_regular(path, "a video") as file, self._container(file) as container:
             self._stream(container)
 
     def _container(self, file: Any) -> Any:
@@ -79,7 +80,7 @@ class Video:
             InputError: Frames that cannot be made upright sRGB, or whose shape changes within the video.
         """
         self._decode_errors, self._conversions = [], []
-        with self.path.open("rb") as file, self._container(file) as container:
+        with open_regular(self.path, "a video") as file, self._container(file) as container:
             stream = self._stream(container)
             stream.thread_type = "AUTO"
             kinds = _FrameKinds(self.path, stream, self._conversions)

@@ -17,20 +17,36 @@ MAX_SECONDS = 10.0
 
 
 def mutate(data: bytes, generator: random.Random) -> bytes:
-    """Change some bytes, then perhaps truncate the file, or repeat or overwrite a run of bytes."""
-    changed = bytearray(data)
+    """Change some bytes, then perhaps cut the file, or repeat, insert, remove, zero or overwrite a run of bytes."""
+    changed = bytearray(data or b"\0")
     for _ in range(generator.choice((1, 1, 2, 4, 16))):
         changed[generator.randrange(len(changed))] = generator.choice((0, 1, 127, 128, 255, generator.randrange(256)))
+    start, length = generator.randrange(len(changed)), generator.choice((1, 4, 8, 64, 1000))
     kind = generator.random()
     if kind < 0.15:
-        del changed[generator.randrange(len(changed)) :]
+        del changed[start:]
     elif kind < 0.25:
-        start = generator.randrange(len(changed))
-        changed[start:start] = changed[start : start + 64]
-    elif kind < 0.3:
-        start = generator.randrange(len(changed))
+        changed[start:start] = changed[start : start + length]
+    elif kind < 0.32:
+        changed[start:start] = generator.randbytes(length)
+    elif kind < 0.39:
+        del changed[start : start + length]
+    elif kind < 0.46:
+        changed[start : start + length] = bytes(len(changed[start : start + length]))
+    elif kind < 0.53:
         changed[start : start + 8] = b"\xff" * len(changed[start : start + 8])
     return bytes(changed)
+
+
+def swapped(data: bytes, other: bytes, generator: random.Random) -> bytes:
+    """The other file in place of this one, or its beginning before the rest of this one, or a run of it within."""
+    kind, place = generator.randrange(3), generator.randrange(min(len(data), len(other)) + 1)
+    if kind == 0:
+        return other
+    if kind == 1:
+        return other[:place] + data[place:]
+    length = generator.choice((4, 64, 1000))
+    return data[:place] + other[place : place + length] + data[place + length :]
 
 
 def refused_mutants(path, original, read, seed, count=COUNT):

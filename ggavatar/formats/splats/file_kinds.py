@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import zipfile
 import zlib
 from pathlib import Path
 
 import numpy as np
+
+from ggavatar.errors import InputError
+from ggavatar.io.regular_files import read_file, read_start
+from ggavatar.io.zip_files import open_zip
 
 SPLAT_RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("quat", "u1", 4)])
 """One Gaussian of a .splat file."""
 QUATERNION_TOLERANCE = 0.05
 """Largest deviation from length 1 of a quaternion of four bytes, by which a .splat file is recognized."""
 SPZ_MAGIC, ZIP_MAGIC, GZIP_MAGIC, GLB_MAGIC = b"NGSP", b"PK\x03\x04", b"\x1f\x8b", b"glTF"
-ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, RuntimeError, OSError)
-"""What zipfile raises for damaged archives, and for encrypted ones and those of later versions."""
 SOG_META, SOG_LEVELS = "meta.json", "lod-meta.json"
 KINDS = {"ply": "PLY", "splat": ".splat", "spz": ".spz", "sog": "SOG", "glb": "glTF binary"}
 SUFFIXES = {".ply": "ply", ".splat": "splat", ".spz": "spz", ".sog": "sog", ".glb": "glb"}
@@ -38,8 +39,7 @@ def file_kind(path: Path) -> str | None:
 
 
 def _kind_of_content(path: Path) -> str | None:
-    with path.open("rb") as stream:
-        start = stream.read(_START_BYTES)
+    start = read_start(path, _START_BYTES)
     if start.startswith((b"ply\n", b"ply\r", b"ply ", b"ply\t")):
         return "ply"
     if start.startswith(SPZ_MAGIC) or (start.startswith(GZIP_MAGIC) and _starts_unzipped(start, SPZ_MAGIC)):
@@ -62,9 +62,9 @@ def _starts_unzipped(start: bytes, magic: bytes) -> bool:
 
 def _holds_sog(path: Path) -> bool:
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_zip(path, "a SOG") as archive:
             return any(Path(name).name == SOG_META for name in archive.namelist())
-    except ZIP_ERRORS:
+    except InputError:
         return False
 
 
@@ -72,7 +72,7 @@ def _is_sog_meta(path: Path) -> bool:
     """Whether a JSON file names the parts of a SOG, or the levels of a streamed one."""
     if not path.is_file() or path.stat().st_size > _MAX_META_BYTES:
         return False
-    text = path.read_bytes()
+    text = read_file(path, _MAX_META_BYTES)
     return all(name in text for name in (b'"means"', b'"quats"', b'"sh0"')) or b'"lodLevels"' in text
 
 
@@ -81,8 +81,7 @@ def looks_like_splat(path: Path) -> bool:
     size = path.stat().st_size
     if size == 0 or size % SPLAT_RECORD.itemsize:
         return False
-    with path.open("rb") as stream:
-        records = np.frombuffer(stream.read(64 * SPLAT_RECORD.itemsize), SPLAT_RECORD)
+    records = np.frombuffer(read_start(path, 64 * SPLAT_RECORD.itemsize), SPLAT_RECORD)
     lengths = np.linalg.norm(splat_quats(records), axis=1)
     plausible = np.isfinite(records["mean"]).all(axis=1) & (records["scale"] >= 0).all(axis=1)
     return bool((plausible & (np.abs(lengths - 1) < QUATERNION_TOLERANCE)).mean() > 0.9)

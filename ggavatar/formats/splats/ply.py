@@ -24,6 +24,7 @@ from plyfile import PlyData, PlyElement
 
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
+from ggavatar.io.regular_files import open_regular
 
 MAX_HEADER_BYTES, MAX_ELEMENTS, MAX_PROPERTIES, MAX_ROWS = 1 << 20, 64, 512, 50_000_000
 _TYPES = {
@@ -87,9 +88,7 @@ def read_header(path: Path) -> Header:
     Raises:
         InputError: The file is not a PLY file, has an unknown encoding or layout, or too large a table.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: expected a PLY file, found {'a folder' if path.is_dir() else 'no such file'}")
-    with path.open("rb") as stream:
+    with open_regular(path, "a PLY file") as stream:
         lines, size = _lines(path, stream)
     words = lines[1].split() if len(lines) > 1 else []
     if len(words) != 3 or words[0] != "format" or words[1] not in _BYTE_ORDERS or words[2] != "1.0":
@@ -197,7 +196,7 @@ def _read_text(path: Path, header: Header, element: Element, rows_before: int) -
     """Rows of an ASCII file, one a line, after those of earlier elements."""
     width = len(element.properties)
     _check_size(path, element, header.size + rows_before + element.count * 2 * width - 1)
-    with path.open("rb") as stream:
+    with open_regular(path, "a PLY file") as stream:
         stream.seek(header.size)
         lines = itertools.islice(_number_lines(stream), rows_before, rows_before + element.count)
         first = next(lines, None)

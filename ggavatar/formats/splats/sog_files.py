@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -13,14 +12,17 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from ggavatar.errors import InputError
-from ggavatar.formats.splats.file_kinds import SOG_LEVELS, SOG_META, ZIP_ERRORS, ZIP_MAGIC
+from ggavatar.formats.splats.file_kinds import SOG_LEVELS, SOG_META, ZIP_MAGIC
 from ggavatar.formats.splats.ply import MAX_ROWS
 from ggavatar.io.json_files import MAX_JSON_BYTES, parse_json, read_json
+from ggavatar.io.picture_bytes import pixels_only
+from ggavatar.io.regular_files import read_file, read_start
+from ggavatar.io.zip_files import open_zip, read_zipped
 
 MAX_IMAGE_BYTES = 1 << 29
-LARGE_IMAGE, MAX_RATIO = 1 << 22, 1100
-"""An image of more pixels that is packed better than this was made to fill the memory."""
-_ADVICE = "export it again"
+LARGE_IMAGE, MAX_RATIO = 1 << 20, 50
+"""An image of more pixels that is packed better than this was made to fill the memory; Gaussians pack three times."""
+_ADVICE, _EXPECTED = "export it again", "a SOG (a zip archive)"
 
 
 class SogFiles(NamedTuple):
@@ -51,9 +53,7 @@ def open_sog(path: Path) -> SogFiles:
     path = meta_file(path)
     if path.name == SOG_LEVELS:
         raise InputError(f"{path}: expected one SOG, found a list of several levels of detail; open one of its folders")
-    with path.open("rb") as stream:
-        is_zip = stream.read(4) == ZIP_MAGIC
-    if not is_zip:
+    if read_start(path, 4) != ZIP_MAGIC:
         return SogFiles(path, read_json(path), lambda name: _read_beside(path, name))
     home = _meta_in_zip(path)
     meta = parse_json(path, _read_zipped(path, str(home), MAX_JSON_BYTES))
@@ -62,31 +62,18 @@ def open_sog(path: Path) -> SogFiles:
 
 def _meta_in_zip(path: Path) -> PurePosixPath:
     """The topmost meta.json of an archive."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            found = [PurePosixPath(name) for name in archive.namelist() if PurePosixPath(name).name == SOG_META]
-    except ZIP_ERRORS as error:
-        raise InputError(
-            f"{path}: expected a zip archive, found a damaged one ({_short(error)}); copy it again"
-        ) from error
+    with open_zip(path, _EXPECTED) as archive:
+        found = [PurePosixPath(name) for name in archive.namelist() if PurePosixPath(name).name == SOG_META]
     if not found:
         raise InputError(f"{path}: expected a SOG (a zip archive with {SOG_META}), found none in it")
     return min(found, key=lambda name: len(name.parts))
 
 
 def _read_zipped(path: Path, name: str, limit: int = MAX_IMAGE_BYTES) -> bytes:
-    try:
-        with zipfile.ZipFile(path) as archive, archive.open(name) as stream:
-            content = stream.read(limit + 1)
-    except KeyError as error:
-        raise InputError(f"{path}: expected {_short(name)} in the archive, found none; {_ADVICE}") from error
-    except ZIP_ERRORS as error:
-        raise InputError(
-            f"{path}: cannot read {_short(name)} ({_short(error)}); the archive is damaged, copy it again"
-        ) from error
-    if len(content) > limit:
-        raise InputError(f"{path}: expected {_short(name)} of up to {limit >> 20} MiB, found more")
-    return content
+    with open_zip(path, _EXPECTED) as archive:
+        if name not in archive.namelist():
+            raise InputError(f"{path}: expected {_short(name)} in the archive, found none; {_ADVICE}")
+        return read_zipped(archive, name, limit)
 
 
 def _short(text: object) -> str:
@@ -98,9 +85,7 @@ def _read_beside(path: Path, name: str) -> bytes:
     beside = path.parent / name
     if not beside.is_file():
         raise InputError(f"{path}: expected {name} beside it, found no such file; copy the whole folder")
-    if beside.stat().st_size > MAX_IMAGE_BYTES:
-        raise InputError(f"{beside}: expected up to {MAX_IMAGE_BYTES >> 20} MiB, found more")
-    return beside.read_bytes()
+    return read_file(beside, MAX_IMAGE_BYTES, "an image of a SOG")
 
 
 def read_image(files: SogFiles, name: str, pixels: tuple[int, int]) -> UInt8[ndarray, "H W 4"]:
@@ -128,7 +113,10 @@ def read_image(files: SogFiles, name: str, pixels: tuple[int, int]) -> UInt8[nda
         )
     if count > LARGE_IMAGE and 4 * count > MAX_RATIO * len(data):
         raise InputError(f"{files.path}: {name} is too small for {size[0]}×{size[1]} pixels, so it is damaged")
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    try:
+        image = cv2.imdecode(np.frombuffer(pixels_only(data), np.uint8), cv2.IMREAD_UNCHANGED)
+    except ValueError:
+        image = None
     if image is None or image.dtype != np.uint8 or image.shape[:2] != size[::-1]:
         raise InputError(f"{files.path}: {name} is damaged or not 8-bit and cannot be decoded; copy it again")
     channels = 1 if image.ndim == 2 else image.shape[2]

@@ -14,6 +14,7 @@ from ggavatar.formats.splats.sound_rows import sound_rows
 from ggavatar.formats.splats.stored_gaussians import MIN_SCALE, StoredGaussians, rotate_180_about_x
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.io.atomic import write_atomically
+from ggavatar.io.regular_files import regular_size
 
 
 def write_splat(path: Path, rows: StoredGaussians) -> None:
@@ -47,7 +48,7 @@ def read_splat(path: Path, axes: Axes = "auto") -> StoredGaussians:
     Raises:
         InputError: The file is not a whole number of records, holds too many, or numbers that no Gaussian has.
     """
-    size = path.stat().st_size
+    size = regular_size(path, "a .splat file")
     if size % SPLAT_RECORD.itemsize or not 0 < size <= MAX_ROWS * SPLAT_RECORD.itemsize:
         raise InputError(
             f"{path}: expected up to {MAX_ROWS} records of {SPLAT_RECORD.itemsize} bytes, found {size} bytes; the file "

@@ -31,8 +31,11 @@ from ggavatar.formats.splats.quaternion_packing import quats_from_smallest
 from ggavatar.formats.splats.sound_rows import sound_rows
 from ggavatar.formats.splats.spz import MAGIC
 from ggavatar.formats.splats.stored_gaussians import StoredGaussians, flip_axes
+from ggavatar.io.regular_files import read_file
 
-MAX_RATIO = 1100
+MAX_SPZ_BYTES = 1 << 30
+MAX_RATIO, LARGE_CONTENT, MAX_LARGE_RATIO = 1100, 1 << 26, 20
+"""Deflate and Zstandard pack zeros 1100 times; of more than 64 MiB no Gaussians do, which pack three times or less."""
 """Largest ratio of unpacked to packed size that is read; deflate reaches 1032, real files about 2."""
 _HEADER = struct.Struct("<IIIBBBB")
 _ZSTD_HEADER_BYTES = 32
@@ -75,7 +78,7 @@ def read_spz(path: Path, axes: Axes = "auto") -> StoredGaussians:
     Raises:
         InputError: Another format or version, damaged, or larger than it can be.
     """
-    data = path.read_bytes()
+    data = read_file(path, MAX_SPZ_BYTES, "an .spz file")
     if data.startswith(GZIP_MAGIC):
         layout, blocks, extensions = _read_gzip(path, data)
     else:
@@ -163,7 +166,7 @@ def _unpacked(path: Path, data: bytes, size: int) -> bytes:
 
 def _check_ratio(path: Path, size: int, packed: int) -> None:
     """Raise an `InputError` before anything is unpacked if the header claims more than the file can hold."""
-    if size > MAX_RATIO * packed:
+    if size > MAX_RATIO * packed or (size > LARGE_CONTENT and size > MAX_LARGE_RATIO * packed):
         raise InputError(
             f"{path}: the file of {packed} bytes is too small for {size} bytes of Gaussians; copy it again"
         )

@@ -160,4 +160,5 @@ def _as_model(generic: _Assembly, template: ndarray) -> HeadModel:
             for name, rows in named_regions(points, groups, generic.lids, generic.lips).items()
         },
         uv=real(unwrap(points, generic.faces, groups)),
+        expression_names=expression_names(),
     )

@@ -23,6 +23,7 @@ from ggavatar.geometry.transforms import (
 from ggavatar.io.atomic import write_text
 from ggavatar.io.inner_paths import path_inside
 from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.regular_files import read_file
 from preprocess.formats.json_fields import (
     camera_matrix,
     finite_number,
@@ -110,12 +111,9 @@ def _text(path: Path, optional: bool = False) -> Any:
         if optional:
             return None
         raise InputError(f"{path}: no such file; expected the frame's coefficients in it")
-    if path.stat().st_size > 1 << 20:
-        raise InputError(
-            f"{path}: expected a text file with coefficients of at most 1 MiB, found {path.stat().st_size >> 20} MiB"
-        )
+    text = read_file(path, 1 << 20, "a text file with coefficients")
     try:
-        return np.array([float(part) for part in path.read_text(encoding="utf-8").split()], dtype=np.float64)
+        return np.array([float(part) for part in text.decode("utf-8").split()], dtype=np.float64)
     except ValueError as error:
         raise InputError(f"{path}: expected numbers separated by spaces or lines") from error
 

@@ -22,6 +22,7 @@ from ggavatar.geometry.transforms import (
     matrix_to_rotation_6d,
     rotation_6d_to_matrix,
 )
+from ggavatar.io.held_folders import make_folder
 from preprocess.formats.array_table import ArrayTable, Assume
 from preprocess.formats.frame_files import frame_content, frame_files, pickled_files
 from preprocess.formats.frame_set import Frame, read_frames
@@ -136,7 +137,7 @@ def write(folder: Path, record: TrackingRecord) -> None:
         raise InputError(
             "metrical-tracker's format has no root or neck rotation and no translation; move them into the camera first"
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for row, number in enumerate(record.numbers):
         torch.save(frame_dictionary(record, row), folder / f"{int(number):05d}.frame")
 

@@ -16,6 +16,7 @@ import torch
 
 from ggavatar.errors import InputError
 from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_rotation_6d, rotation_6d_to_matrix
+from ggavatar.io.held_folders import make_folder
 from preprocess.formats.array_table import ArrayTable, Assume
 from preprocess.formats.frame_files import frame_content, frame_files, pickled_files
 from preprocess.formats.frame_set import Frame, read_frames
@@ -129,7 +130,7 @@ def write(folder: Path, record: TrackingRecord) -> None:
     focal = record.intrinsics[:, [0, 1], [0, 1]]
     if record.width != record.height or not np.allclose(focal[:, 0], focal[:, 1], rtol=1e-6):
         raise InputError("Pixel3DMM's format holds only square images with one focal length; crop the images first")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for row, number in enumerate(record.numbers.tolist()):
         torch.save(_dictionary(record, row), folder / f"{number:05d}.frame")
 

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from ggavatar.errors import InputError
+from ggavatar.io.held_folders import make_folder
 from ggavatar.io.inner_paths import path_inside
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.npz import read_npz, write_npz
+from ggavatar.io.regular_files import read_start
 from preprocess.formats.array_table import ArrayTable, Assume
 from preprocess.formats.frame_set import Frame, collect_frames
 from preprocess.formats.json_fields import (
@@ -54,8 +56,7 @@ def recognizes(folder: Path) -> bool:
 
 
 def _lists_parameters(path: Path) -> bool:
-    with path.open("rb") as stream:
-        return _MARK in stream.read(_HEAD_BYTES)
+    return path.is_file() and _MARK in read_start(path, _HEAD_BYTES)
 
 
 def read(folder: Path) -> TrackingRecord:
@@ -155,7 +156,7 @@ def write(folder: Path, record: TrackingRecord) -> None:
 
     GaussianAvatars ignores the principal point: give it images with the principal point at the center.
     """
-    (folder / "flame_param").mkdir(parents=True, exist_ok=True)
+    make_folder(folder / "flame_param")
     offset = record.extra.get("static_offset")
     static = np.zeros((1, 5143, 3), np.float32) if offset is None else np.asarray(offset, np.float32)[None]
     frames = []

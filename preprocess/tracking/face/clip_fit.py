@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.face.expression_basis import (
     JAW_STD,
@@ -37,7 +38,7 @@ from preprocess.tracking.geometry.rigid import (
     refine_poses,
 )
 from preprocess.tracking.geometry.smoothing import penalty
-from preprocess.tracking.head.expression_axes import AXES, axis_scores, score
+from preprocess.tracking.head.expression_axes import axis_scores, score
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead
 from preprocess.tracking.head.personal_head import PersonalShape, fit_shape, lid_axes
 from preprocess.tracking.pose.bundle_adjustment import BundleEstimate, ShapePrior, bundle_adjust, prior_focal
@@ -286,7 +287,7 @@ def _motion_prior(clip: ClipLandmarks, personal: int) -> MotionPrior:
     lids = np.stack((score(change, "eyeBlinkLeft"), score(change, "eyeBlinkRight")), axis=1)
     coefficients = np.concatenate((axis_scores(change), np.zeros((len(change), personal)), lids), axis=1)
     named, lid = NAMED_STD * clip.prior_scale, LID_STD * clip.prior_scale
-    stds = np.concatenate((np.full(len(AXES), named), np.full(personal, PERSONAL_STD), np.full(2, lid)))
+    stds = np.concatenate((np.full(len(TRACKED_AXES), named), np.full(personal, PERSONAL_STD), np.full(2, lid)))
     jaw = np.stack((FULL_JAW_OPENING * score(change, "jawOpen"), np.zeros(len(change))), axis=1)
     return MotionPrior(coefficients, stds, jaw, JAW_STD * clip.prior_scale)
 
@@ -309,9 +310,9 @@ def _learn_axes(
     used = training_frames(clip)
     local, used_landmarks = PosedCamera(camera.intrinsics, camera.poses[used]), observed[used]
     prior = _motion_prior(clip, 0).frames(used)
-    scores = prior.coefficients[:, : len(AXES)]
+    scores = prior.coefficients[:, : len(TRACKED_AXES)]
     motion = fit_motion(used_landmarks, local, model, prior)
-    explained = np.concatenate((scores, motion.coefficients[:, len(AXES) :]), axis=1)
+    explained = np.concatenate((scores, motion.coefficients[:, len(TRACKED_AXES) :]), axis=1)
     without_axes = landmark_displacements(used_landmarks, local, model.shapes(np.zeros_like(explained), motion.jaw))
     residuals = landmark_displacements(used_landmarks, local, model.shapes(explained, motion.jaw))
     residuals = np.matmul(model.blend_matrices(motion.jaw).transpose(0, 1, 3, 2), residuals[..., None])[..., 0]
@@ -327,8 +328,8 @@ def _learn_axes(
 
 def _refine(fit: ClipFit, clip: ClipLandmarks, observed: LandmarkObservations) -> ClipFit:
     """Axes and coefficients once more, each given the other."""
-    personal = fit.model.axes.shape[2] - len(AXES) - 2
-    learned = np.concatenate((np.ones(len(AXES) + personal), np.zeros(2)))
+    personal = fit.model.axes.shape[2] - len(TRACKED_AXES) - 2
+    learned = np.concatenate((np.ones(len(TRACKED_AXES) + personal), np.zeros(2)))
     used = training_frames(clip)
     local = PosedCamera(fit.camera.intrinsics, fit.camera.poses[used])
     used_motion = FaceMotion(fit.motion.coefficients[used], fit.motion.jaw[used])

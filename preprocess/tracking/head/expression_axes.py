@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from ggavatar.head.axis_names import TRACKED_AXES
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
-
-AXES = TRACKED_AXES
-"""Named expression coefficients in order; one unit is the full expression of the blendshape of that name."""
 
 # The procedural head's expressions that make up each axis: name and amount. Sides follow the axis.
 _GENERIC_EXPRESSIONS = {
@@ -40,8 +37,8 @@ _GENERIC_EXPRESSIONS = {
 
 
 def axis_scores(blendshapes: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T A"]:
-    """The scores that belong to `AXES`."""
-    return blendshapes[:, [NAMES.index(name) for name in AXES]]
+    """The scores that belong to `TRACKED_AXES`."""
+    return blendshapes[:, [NAMES.index(name) for name in TRACKED_AXES]]
 
 
 def score(blendshapes: Float[np.ndarray, "T 52"], name: str) -> Float[np.ndarray, " T"]:
@@ -50,10 +47,10 @@ def score(blendshapes: Float[np.ndarray, "T 52"], name: str) -> Float[np.ndarray
 
 
 def generic_mixture() -> Float[np.ndarray, "G A"]:
-    """Amount of each of the procedural head's expressions in each of `AXES`."""
+    """Amount of each of the procedural head's expressions in each of `TRACKED_AXES`."""
     names, _ = procedural_names()
-    mixture = np.zeros((len(names), len(AXES)))
-    for column, axis in enumerate(AXES):
+    mixture = np.zeros((len(names), len(TRACKED_AXES)))
+    for column, axis in enumerate(TRACKED_AXES):
         stem, side = _split(axis)
         for generic, amount in _GENERIC_EXPRESSIONS.get(stem, ()):
             candidates = (f"{generic}_{side}", f"{generic}_left", f"{generic}_right", generic)

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from ggavatar.head.expression_axes import tracked_names
 from ggavatar.head.model import HeadModel
 from preprocess.tracking.geometry import landmark_topology as topology
 from preprocess.tracking.geometry.landmark_embedding import at_landmarks, lip_loop
@@ -183,6 +184,7 @@ def assemble_head(
         regions={name: torch.tensor(rows, dtype=torch.int64) for name, rows in regions.items()},
         uv=_tensor(generic.uv),
         landmark_weights=_tensor(generic.embedding.weights),
+        expression_names=tracked_names(personal.shape[2]),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -11,8 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluate.cli.evaluate import main
+from evaluate.cli.evaluate import Evaluated, _require_current, main
 from evaluate.options import parse
+from evaluate.protocols.results import read_results
+from ggavatar.errors import InputError
+from ggavatar.io.folder_lock import lock_output
 from tests.support.image_pairs import pair, write, write_folders
 from tests.support.toy_run import HEIGHT, WIDTH, write_capture
 
@@ -284,3 +288,26 @@ def test_lpips_is_a_number_with_its_weights_and_a_dash_with_a_reason_without(
     assert value is None and "(offline)" in reason and "ggavatar-models --fetch alexnet" in reason
     assert main([*words, "--models", "nowhere"]) == 2
     assert "--models nowhere: no such folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["table", "baseline.json"])
+def test_tables_and_baselines_have_one_writer(tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str) -> None:
+    write_folders(tmp_path, [1])
+    words = ["--write-baseline", str(tmp_path / "ours" / "baseline.json")]
+    (tmp_path / "ours").mkdir()
+    with lock_output(tmp_path / "ours" / place):
+        assert score(tmp_path, *words) == 2
+    assert f"{tmp_path / 'ours' / place}: " in capsys.readouterr().err
+    assert score(tmp_path, *words) == 0
+    assert not [path.name for path in (tmp_path / "ours").iterdir() if path.name.startswith(".")]
+
+
+def test_figures_are_not_drawn_from_what_another_command_has_scored_meanwhile(tmp_path: Path) -> None:
+    write_folders(tmp_path, [1])
+    assert score(tmp_path) == 0
+    results = tmp_path / "ours" / "metrics.json"
+    ours = Evaluated(read_results(results), results)
+    _require_current(ours)
+    changed = dataclasses.replace(ours.evaluation, hashes={**ours.evaluation.hashes, "predictions": "00"})
+    with pytest.raises(InputError, match="scored it again meanwhile"):
+        _require_current(Evaluated(changed, results))

@@ -5,7 +5,9 @@ Also covers `evaluate/rendering/options.py`.
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -17,7 +19,9 @@ import torch
 
 import evaluate.rendering.jobs
 from evaluate.cli.render import main
+from evaluate.rendering import jobs, views
 from evaluate.rendering.views import straight_alpha
+from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.images import read_rgb
 from ggavatar.training.run_folder import Run
 from tests.support.toy_run import COUNT, HEIGHT, WIDTH, toy_run, write_capture
@@ -99,6 +103,84 @@ def test_parameters_drive_and_other_bases_do_not(
     np.savez(tmp_path / "flame.npz", expression=motion, version="flame2020")
     assert render(monkeypatch, run, "--drive", tmp_path / "flame.npz", "--force-basis") == 2
     assert "mean different things" in capsys.readouterr().err
+
+
+def test_a_second_render_is_refused_and_a_typo_of_resume_too(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert render(monkeypatch, run, "--resume", "-o", out) == 2 and not out.exists()
+    assert "--resume found nothing to continue here; check -o" in capsys.readouterr().err
+    out.mkdir()
+    with lock_folder(out):
+        assert render(monkeypatch, run, "-o", out) == 2 and "is writing here" in capsys.readouterr().err
+    assert not list(out.iterdir())
+
+
+@pytest.mark.parametrize("flag", ["", "--resume", "--overwrite"])
+def test_a_start_that_was_killed_or_failed_blocks_nothing(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flag: str
+) -> None:
+    """Without an image there is nothing to lose: the corrected command needs no flag."""
+    out, flags = tmp_path / "out", [flag] if flag else []
+    (out / "frames").mkdir(parents=True)
+    for name in (".lock", ".abc.json.part") if flag else (".lock", "frames/.abc.png.part", ".render.mp4.part"):
+        (out / name).touch()
+    key = {"--resume": None}.get(flag, "of other options")
+    if flag != "--resume":
+        (out / "render.json").write_text(json.dumps({"key": key}))
+        assert render(monkeypatch, run, "-o", out, *flags) == 0
+    else:
+        (out / "frames").rmdir()
+        assert render(monkeypatch, run, "-o", out, *flags) == 0
+    assert names(out) == ["frames", "render.json", "render.mp4"] and len(names(out / "frames")) == 2
+
+
+def test_overwriting_removes_no_pictures_of_the_user(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert render(monkeypatch, run, "--no-video", "-o", out) == 0
+    (out / "holiday.png").write_bytes(b"mine")
+    assert render(monkeypatch, run, "--no-video", "-o", out, "--overwrite") == 0
+    assert (out / "holiday.png").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("change", ["checkpoint", "tracking"])
+def test_resuming_notices_what_has_changed(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str
+) -> None:
+    out = tmp_path / "out"
+    assert render(monkeypatch, run, "--no-video", "-o", out) == 0
+    changed = dataclasses.replace(run, sha256="01") if change == "checkpoint" else run
+    if change == "tracking":
+        write_capture(tmp_path / "other", seed=5)
+        (run.capture.folder / "tracking.npz").write_bytes((tmp_path / "other" / "tracking.npz").read_bytes())
+    monkeypatch.setattr(jobs, "open_run", lambda *_: changed)
+    assert render(monkeypatch, run, "--no-video", "-o", out, "--resume") == 2
+    assert "changed since" in capsys.readouterr().err
+
+
+def test_a_capture_that_changed_since_the_training_is_said(
+    run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for digest, said in ((run.capture.digest(), False), ("00", True)):
+        trained = dataclasses.replace(run, provenance={"capture_sha256": digest})
+        monkeypatch.setattr(jobs, "open_run", lambda *_, trained=trained: trained)
+        assert render(monkeypatch, run, "--no-video", "--overwrite") == 0
+        assert ("has changed since" in capsys.readouterr().err) == said
+
+
+def test_a_folder_that_is_removed_meanwhile_does_not_come_back(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, plain = tmp_path / "out", views.write_png
+
+    def removing(path: Path, image: np.ndarray) -> None:
+        shutil.rmtree(out)
+        plain(path, image)
+
+    monkeypatch.setattr(views, "write_png", removing)
+    assert render(monkeypatch, run, "--no-video", "-o", out) == 1
+    assert "removed or renamed" in capsys.readouterr().err and not out.exists()
 
 
 def test_existing_output(run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -60,3 +63,25 @@ def test_side_by_side_has_truth_render_and_error(tmp_path: Path) -> None:
     middle = images[1].shape[0] // 2
     assert abs(int(images[1][middle, 32, 0]) - 120) < 6 and abs(int(images[1][middle, 96, 0]) - 180) < 6
     assert int(images[1][middle, 160].sum()) > 300, "an error of 60 of 255 is far up the scale"
+
+
+ENCODE = """
+import sys
+from pathlib import Path
+import numpy as np
+from evaluate.figures.video import video_writer
+draw = np.random.default_rng(0)
+with video_writer(Path(sys.argv[1]), 4.0) as append:
+    for _ in range(6):
+        append(np.kron(draw.integers(0, 256, (14, 24, 3)), np.ones((8, 8, 1))).astype(np.uint8)[:107])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the malloc of glibc")
+def test_the_same_images_give_the_same_file_whatever_was_in_memory(tmp_path: Path) -> None:
+    for filling in ("0", "170"):  # malloc(3), M_PERTURB: what fresh memory is filled with
+        environment = {**os.environ, "MALLOC_PERTURB_": filling, "PYTHONPATH": str(Path(__file__).parents[3])}
+        path = tmp_path / f"{filling}.mp4"
+        subprocess.run([sys.executable, "-c", ENCODE, str(path)], env=environment, check=True)
+    first, second = sorted(tmp_path.glob("*.mp4"))
+    assert first.read_bytes() == second.read_bytes()

@@ -40,6 +40,13 @@ def test_a_run_with_several_protocols_gives_all(tmp_path: Path) -> None:
     assert len({one.digest for one in read_baselines(tmp_path)}) == 2
 
 
+def test_a_folder_with_results_of_gt_and_of_a_capture_gives_both(tmp_path: Path) -> None:
+    """PRED-evaluation/ holds the scores of --gt itself, and those under a capture's protocol in eval/."""
+    write_results(evaluation("Anna", "m"), tmp_path)
+    write_results(evaluation("Anna", "m", protocol=PROTOCOL.override(background="black")), tmp_path / "eval" / "b")
+    assert len({one.digest for one in read_baselines(tmp_path)}) == 2
+
+
 def test_identical_images_are_kept_apart_from_missing_values(tmp_path: Path) -> None:
     made = evaluation("Anna", "m", (math.inf, math.inf), lpips=())
     write_baseline(tmp_path / "b.json", [made])

@@ -149,8 +149,3 @@ def test_of_a_run_with_several_protocols_the_right_one_counts() -> None:
     new = evaluation("Anna", "m")
     other = dataclasses.replace(new, protocol=PROTOCOL.override(background="black"))
     assert failed(compare(new, [baseline_of(other), baseline_of(new)])) == []
-
-
-def test_names_stay_on_one_line() -> None:
-    made = evaluation("An\n::error::na", "m\r")
-    assert all("\n" not in check.case and "\r" not in check.case for check in compare(made, made))

@@ -12,39 +12,20 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from evaluate.figures.reenactment import reenactment, representative_rows
-from evaluate.motion.driving_sequence import Cameras, DrivingSequence, driving_sequence_of, read_driving_sequence
+from evaluate.motion.driving_sequence import driving_sequence_of, read_driving_sequence
 from evaluate.motion.retarget import basis_family, match_basis
 from evaluate.motion.smoothing import one_euro, savgol, smoothed
 from evaluate.motion.transfer import (
     TransferOptions,
     limit_to_training_range,
-    neutral_row,
     soft_clip,
     transfer_performance,
 )
 from ggavatar.errors import InputError
+from tests.support.performances import motion
 from tests.support.toy_run import COUNT, JOINTS, write_capture
 
-RAW = TransferOptions(smooth="none", margin=None)
-
-
-def motion(seed: int, count: int = 12, depth: float = 1.0, width: int = 100) -> DrivingSequence:
-    random = np.random.default_rng(seed)
-    views = np.repeat(np.eye(4)[None], count, 0)
-    views[:, :3, :3] = Rotation.from_rotvec(random.normal(0, 0.3, (count, 3))).as_matrix()
-    views[:, :3, 3] = random.normal([0, 0, depth], 0.05, (count, 3))
-    intrinsics = np.repeat(np.diag([200.0, 200.0, 1.0])[None], count, 0)
-    return DrivingSequence(
-        expression=random.normal(size=(count, 4)),
-        joint_rotations=random.normal(0, 0.2, (count, 5, 3)),
-        eyelids=random.random((count, 2)),
-        translation=random.normal(0, 0.01, (count, 3)),
-        cameras=Cameras(views, intrinsics, (width, width)),
-        frames=tuple(range(5, 5 + count)),
-        fps=25.0,
-        joint_names=JOINTS,
-        head_version="toy-1",
-    )
+RAW = TransferOptions("relative", smooth="none", margin=None)
 
 
 def test_relative_transfer_adds_changes_to_the_targets_neutral() -> None:
@@ -131,21 +112,12 @@ def test_limits_hold_expressions_and_joint_angles() -> None:
     np.testing.assert_allclose(same.joint_rotations, seen.joint_rotations, atol=1e-9)
 
 
-def test_neutral_frame_is_at_rest() -> None:
-    moving = motion(4, count=30)
-    calm = {"expression": moving.expression.copy(), "joint_rotations": moving.joint_rotations.copy()}
-    calm["expression"][17], calm["joint_rotations"][17] = 0.05, 0.001
-    lids = moving.eyelids.copy()
-    lids[17] = 0
-    assert neutral_row(dataclasses.replace(moving, eyelids=lids, **calm)) == 17
-
-
 def test_savgol_keeps_parabolas_and_removes_noise() -> None:
     time = np.linspace(-1, 1, 60)[:, None]
     parabola = 3 * time**2 - time + 0.5
     np.testing.assert_allclose(savgol(parabola), parabola, atol=1e-12)
     noisy = parabola + np.random.default_rng(0).normal(0, 0.1, parabola.shape)
-    assert np.abs(savgol(noisy) - parabola).mean() < 0.7 * np.abs(noisy - parabola).mean()
+    assert np.abs(savgol(noisy) - parabola).mean() < 0.8 * np.abs(noisy - parabola).mean()
     assert savgol(parabola[:2]).tolist() == parabola[:2].tolist() and savgol(parabola[:4]).shape == (4, 1)
 
 
@@ -165,7 +137,7 @@ def test_smoothing_keeps_a_performance_at_rest() -> None:
     driver = motion(1)
     resting = driver.rows(np.zeros(12, int))
     moved = transfer_performance(
-        dataclasses.replace(resting, frames=driver.frames), 0, driver, 0, TransferOptions(margin=None)
+        dataclasses.replace(resting, frames=driver.frames), 0, driver, 0, TransferOptions("relative", margin=None)
     )
     np.testing.assert_allclose(moved.joint_rotations, resting.joint_rotations, atol=1e-9)
 
@@ -234,7 +206,7 @@ def test_bad_parameter_files_are_refused(tmp_path: Path, arrays: dict, words: st
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "params.pkl").write_bytes(b"x")
-    with pytest.raises(InputError, match="capture folder or an"):
+    with pytest.raises(InputError, match=r"capture folder, an \.npz file"):
         read_driving_sequence(tmp_path / "params.pkl")
 
 

@@ -5,8 +5,11 @@ Also covers `evaluate/scoring/evaluation_job.py`, `evaluate/scoring/touched.py` 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import os
+import re
 import shutil
 from pathlib import Path
 
@@ -25,6 +28,7 @@ from evaluate.scoring.scored_frames import at_capture_resolution
 from evaluate.scoring.touched import require_untouched
 from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
+from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.images import read_gray, read_rgb, write_png
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
@@ -87,11 +91,98 @@ def test_another_checkpoint_replaces_the_images_and_nothing_else(run: Run, monke
     assert (home / "mine.txt").read_text() == "keep"
 
 
+def test_a_second_evaluation_is_refused_by_name(run: Run) -> None:
+    first, _ = evaluate_run(run.folder, OPTIONS, silent)
+    home = run.folder / "eval" / first.protocol.id
+    with lock_folder(home), pytest.raises(InputError, match=rf"process {os.getpid()} on .* is writing here"):
+        evaluate_run(run.folder, OPTIONS, silent)
+    assert evaluate_run(run.folder, OPTIONS, silent)[0] == first
+    assert not [path.name for path in home.rglob(".*")]
+
+
+@pytest.mark.parametrize("left", ["nothing", "lock", "summary", "partial", "half removed", "removed to the summary"])
+def test_an_evaluation_that_was_killed_is_continued(run: Run, left: str) -> None:
+    whole, _ = evaluate_run(run.folder, OPTIONS, silent)
+    home = run.folder / "eval" / whole.protocol.id
+    if left in ("nothing", "lock", "summary"):
+        summary = (home / "predict.json").read_text().replace('"complete": true', '"complete": false')
+        shutil.rmtree(home)
+        home.mkdir()
+        if left == "lock":
+            (home / ".lock").touch()
+        if left == "summary":
+            (home / "predict.json").write_text(summary)
+    if left == "partial":
+        (home / "predictions" / ".abc.png.part").write_bytes(b"half")
+        (home / ".abc.json.part").write_bytes(b"half")
+    if left == "half removed":
+        next((home / "predictions").iterdir()).unlink()
+    if left == "removed to the summary":
+        for path in home.iterdir():
+            if path.name != "predict.json":
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert evaluate_run(run.folder, OPTIONS, silent)[0].values == whole.values
+    assert not [path.name for path in home.rglob(".*")]
+
+
+def test_removing_an_evaluation_can_be_interrupted_anywhere(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever has been removed when the process is killed, what is left is known as ours."""
+    whole, _ = evaluate_run(run.folder, OPTIONS, silent)
+    plain, count, again = Path.unlink, 0, dataclasses.replace(OPTIONS, again=True)
+
+    def killed(self: Path, missing_ok: bool = False) -> None:
+        nonlocal count
+        count -= 1
+        if count == 0:
+            raise ProcessLookupError("killed")
+        plain(self, missing_ok=missing_ok)
+
+    for stop in range(1, 14):
+        count = stop
+        with monkeypatch.context() as patch, contextlib.suppress(ProcessLookupError):
+            patch.setattr(Path, "unlink", killed)
+            evaluate_run(run.folder, again, silent)
+        assert evaluate_run(run.folder, OPTIONS, silent)[0].values == whole.values
+
+
+def test_a_run_that_is_removed_meanwhile_does_not_come_back(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def removing(*arguments: object, **more: object) -> None:
+        shutil.rmtree(run.folder)
+        write_png(*arguments, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("evaluate.scoring.predict.write_png", removing)
+    with pytest.raises(FileNotFoundError, match="removed or renamed"):
+        evaluate_run(run.folder, OPTIONS, silent)
+    assert not run.folder.exists()
+
+
 def test_damaged_results_are_made_again(run: Run) -> None:
     first, files = evaluate_run(run.folder, OPTIONS, silent)
     files[0].write_text("{")
     assert evaluate_run(run.folder, OPTIONS, silent)[0] == first
     json.loads(files[0].read_text())
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "per_frame.csv", "predict.json"])
+def test_a_changed_number_is_noticed_and_made_again(run: Run, name: str) -> None:
+    """A digit of something that was measured."""
+    first, files = evaluate_run(run.folder, OPTIONS, silent)
+    path = files[0].parent / name
+    before = path.read_text()
+    digit = {
+        "metrics.json": r'"mse": \[0\.\d\d(\d)',
+        "per_frame.csv": r",0\.\d\d(\d)",
+        "predict.json": r'"median": (\d)',
+    }
+    found = re.search(digit[name], before)
+    assert found is not None
+    place = found.start(1)
+    path.write_text(f"{before[:place]}{(int(before[place]) + 1) % 10}{before[place + 1 :]}")
+    listener = SilentReporter()
+    again, _ = evaluate_run(run.folder, OPTIONS, listener)
+    assert again.values == first.values and listener.warnings
+    if name != "predict.json":
+        assert path.read_text() == before and name in listener.warnings[0]
 
 
 def test_test_frames_that_were_trained_on_are_refused(run: Run) -> None:

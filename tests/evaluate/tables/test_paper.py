@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluate.tables.format_latex import MAX_ROWS, PREAMBLE, escaped, to_latex
+from evaluate.tables.format_latex import MAX_ROWS, PREAMBLE, to_latex
 from evaluate.tables.paper import NOTE, paper_table_1, paper_table_2, read_paper, with_paper
 from evaluate.tables.study import studies
 from evaluate.tables.table import BEST, DASH, SECOND, Table
@@ -134,13 +134,6 @@ def test_a_row_may_begin_with_what_would_be_an_argument_of_the_line_break() -> N
     assert "\n    {[}x]" in source
     assert "\n    {*} &" in source
     assert not re.search(r"\\\\\s*[\[*]", source)
-
-
-def test_special_characters_are_escaped() -> None:
-    assert escaped("-1.5 [-2.0, +3]* paper-v1 Ämter ☃") == "$-$1.5 {[}$-$2.0, +3]{*} paper-v1 Ämter ?"
-    assert escaped("50% of #1 & {a_b} ~ ^ \\ $") == (
-        r"50\% of \#1 \& \{a\_b\} \textasciitilde{} \textasciicircum{} \textbackslash{} \$"
-    )
 
 
 def pdf_pages(folder: Path, tables: Sequence[Table], options: str = "") -> str:

@@ -23,6 +23,7 @@ from evaluate.tables.format_markdown import to_markdown
 from evaluate.tables.format_terminal import show
 from evaluate.tables.write import build_tables
 from ggavatar.errors import InputError
+from ggavatar.io.json_files import read_json
 from tests.support.evaluations import evaluation
 
 FAST = Setup("run", "ggavatar", "fast", 1500, "random")
@@ -132,7 +133,7 @@ def test_metrics_json_keeps_the_setup_and_the_console_shows_it(tmp_path: Path) -
 def test_results_of_version_0_1_are_read_and_say_so(tmp_path: Path) -> None:
     write_results(evaluation("Anna", "ggavatar", setup=FAST), tmp_path)
     content = json.loads((tmp_path / "metrics.json").read_text())
-    del content["setup"]
+    del content["setup"], content["content_sha256"]
     (tmp_path / "metrics.json").write_text(json.dumps(content))
     assert read_results(tmp_path).setup.describe() == "setup not recorded"
 
@@ -144,7 +145,7 @@ def test_a_damaged_setup_is_refused(broken: dict[str, object], tmp_path: Path) -
     with pytest.raises(ValueError, match="setup: expected"):
         setup_from_dict(broken)
     write_results(evaluation("Anna", "ggavatar", setup=FAST), tmp_path)
-    content = json.loads((tmp_path / "metrics.json").read_text())
+    content = read_json(tmp_path / "metrics.json")
     (tmp_path / "metrics.json").write_text(json.dumps({**content, "setup": broken}))
     with pytest.raises(InputError, match="score the images again"):
         read_results(tmp_path)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 import torch
 
 from ggavatar.cli.export import main
+from ggavatar.core import Gaussians
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats import export as exporting
@@ -20,8 +23,9 @@ from ggavatar.formats.imported_run import open_imported_run
 from ggavatar.formats.output_folder import atomic_folder
 from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.splats.gaussian_ply import read_gaussian_ply
-from ggavatar.formats.splats.stored_gaussians import activate
+from ggavatar.formats.splats.stored_gaussians import StoredGaussians, activate
 from ggavatar.head.files import load_head
+from ggavatar.io.folder_lock import lock_output
 from ggavatar.training.run_folder import open_run
 from ggavatar.training.session import train_run
 from tests.support.gaussian_cloud import psnr
@@ -259,3 +263,91 @@ def test_a_name_that_says_another_format_is_refused(
     assert export(run_folder, "-o", tmp_path / name, *format_flags) == 2
     assert found in capsys.readouterr().err and not (tmp_path / name).exists()
     assert export(run_folder, "-o", tmp_path / "b.bin", "--format", "ply") == 0
+
+
+def test_a_second_export_is_refused_by_name(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path, words in ((tmp_path / "a.ply", ()), (tmp_path / "bound", ("--format", "gaussian-avatars"))):
+        with lock_output(path):
+            assert export(run_folder, *words, "-o", path) == 2
+        shown = capsys.readouterr().err
+        assert f"{path}: " in shown and f"(process {os.getpid()} on " in shown
+        assert export(run_folder, *words, "-o", path) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "bound"]
+
+
+@pytest.mark.parametrize("moment", ["writing", "moved aside", "moved in"])
+def test_a_killed_export_of_a_folder_is_put_right_by_the_next(tmp_path: Path, moment: str) -> None:
+    """What `kill -9` leaves at each moment of the exchange: never is the earlier export lost."""
+    folder, home = tmp_path / "out", tmp_path / ".out.partial"
+    (home / "new").mkdir(parents=True)
+    (home / "new" / "a").write_text("half")
+    folder.mkdir()
+    (folder / "a").write_text("old")
+    if moment != "writing":
+        folder.rename(home / "old")
+    if moment == "moved in":
+        (home / "new").rename(folder)
+    found = {"writing": "old", "moved aside": "old", "moved in": "half"}[moment]
+    with pytest.raises(InputError, match="already exists"), atomic_folder(folder, overwrite=False):
+        pass
+    with pytest.raises(ValueError, match="failed"), atomic_folder(folder, overwrite=True):
+        assert (folder / "a").read_text() == found
+        raise ValueError("failed")
+    assert (folder / "a").read_text() == found and list(tmp_path.iterdir()) == [folder]
+    with atomic_folder(folder, overwrite=True) as temporary:
+        (temporary / "a").write_text("new")
+    assert (folder / "a").read_text() == "new" and list(tmp_path.iterdir()) == [folder]
+    home.mkdir()
+    (home / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"mine\.txt"), atomic_folder(folder, overwrite=True):
+        pass
+    assert (home / "mine.txt").read_text() == "mine"
+
+
+def test_a_run_that_is_removed_meanwhile_does_not_come_back(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, plain = tmp_path / "run", exporting.to_stored
+    shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
+
+    def removing(gaussians: Gaussians) -> StoredGaussians:
+        shutil.rmtree(run)
+        return plain(gaussians)
+
+    monkeypatch.setattr(exporting, "to_stored", removing)
+    assert export(run) == 1
+    assert "removed or renamed" in capsys.readouterr().err and not run.exists()
+
+
+def test_a_run_that_was_moved_with_its_capture_is_exported(
+    run_folder: Path, toy_capture: Capture, tmp_path: Path
+) -> None:
+    """Its own capture comes first, although the original is still where the training had it."""
+    place = Path(os.path.relpath(toy_capture.folder, run_folder))
+    run = tmp_path / "a" / "b" / "c" / "run"
+    shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
+    copy = Path(os.path.normpath(run / place))
+    shutil.copytree(toy_capture.folder, copy)
+    assert open_run(run).capture.folder.resolve() == copy.resolve()
+    assert export(run, "-o", tmp_path / "a.ply") == 0
+
+
+def test_a_capture_that_was_moved_away_from_its_run_is_named(
+    run_folder: Path, toy_capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The message says --capture, and that works."""
+    run, moved = tmp_path / "a" / "b" / "c" / "run", tmp_path / "moved"
+    shutil.copytree(run_folder, run, ignore=shutil.ignore_patterns("exports"))
+    shutil.copytree(toy_capture.folder, moved)
+    config = (run / "config.json").read_text().replace(str(toy_capture.folder), str(tmp_path / "gone"))
+    (run / "config.json").write_text(config)
+    assert export(run) == 2 and "name its new location with --capture" in capsys.readouterr().err
+    capsys.readouterr()
+    assert export(run, "--capture", moved) == 0 and "has changed since" not in capsys.readouterr().out
+    images = sorted((moved / "images").iterdir())
+    images[0].write_bytes(images[1].read_bytes())
+    assert export(run, "--capture", moved, "--overwrite") == 0 and "has changed since" in capsys.readouterr().out
+    assert export(run / "exports" / "neutral.ply", "--capture", moved, "-o", tmp_path / "a.spz") == 2
+    assert "belongs to a run" in capsys.readouterr().err

@@ -6,8 +6,11 @@ Also covers `ggavatar/sweeps/checks.py`.
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
 import sys
+import time
 import typing
 from pathlib import Path
 
@@ -15,8 +18,12 @@ import pytest
 
 from ggavatar.cli import sweep, train
 from ggavatar.data.capture import Capture
+from ggavatar.io.folder_lock import lock_folder
 from ggavatar.losses.vgg import PerceptualLoss, random_weights
 from ggavatar.pretrained.resolve import ModelUnavailable
+from ggavatar.sweeps.backends import run_logged
+from ggavatar.sweeps.cell import Cell
+from ggavatar.training.session import train_run
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
@@ -150,3 +157,78 @@ def test_devices_of_a_cluster_are_not_those_of_this_computer(
 def test_flags_that_are_passed_on_have_the_types_of_ggavatar_train() -> None:
     ours, theirs = (typing.get_type_hints(kind) for kind in (sweep.Arguments, train.Arguments))
     assert [ours[name] for name in sweep.PASSED_ON] == [theirs[name] for name in sweep.PASSED_ON]
+
+
+@pytest.mark.usefixtures("no_training")
+def test_a_second_sweep_is_refused_by_name(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = [toy_capture.folder, "-o", tmp_path / "grid", "--device", "cpu", "--set", "perceptual_weight=0"]
+    (tmp_path / "grid").mkdir()
+    with lock_folder(tmp_path / "grid"):
+        assert run(monkeypatch, *words) == 2
+    assert f"(process {os.getpid()} on " in capfd.readouterr().err
+    assert not list((tmp_path / "grid").iterdir())
+
+
+@pytest.mark.usefixtures("no_training")
+@pytest.mark.parametrize("finished", [True, False])
+def test_cells_of_another_capture_are_not_counted_as_trained(
+    toy_capture: Capture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    finished: bool,
+) -> None:
+    """Finished or only begun: another capture of the same folder name, and the same one with other images."""
+    capture, grid = tmp_path / "data" / "anna", tmp_path / "grid"
+    shutil.copytree(toy_capture.folder, capture)
+    cell = grid / "anna" / "ggavatar" / "seed-42"
+    train_run(capture, cell, {"steps": 2, "device": "cpu", "set": ["perceptual_weight=0"]}, quiet=True)
+    record = cell / "provenance.json"
+    record.write_text(json.dumps({**json.loads(record.read_text()), "finished": finished}))
+    images = sorted((capture / "images").iterdir())
+    images[0].write_bytes(images[1].read_bytes())
+    words = ["-o", grid, "--device", "cpu", "--set", "perceptual_weight=0"]
+    assert run(monkeypatch, capture, *words) == 2
+    assert "has changed since the training began" in capfd.readouterr().err
+    other = tmp_path / "elsewhere" / "anna"
+    shutil.copytree(capture, other)
+    assert run(monkeypatch, other, *words) == 2
+    assert "which has other contents" in capfd.readouterr().err
+
+
+def test_a_grid_that_is_removed_meanwhile_does_not_come_back(
+    toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    grid = tmp_path / "grid"
+
+    def removing(cell: Cell, *_: object) -> int:
+        shutil.rmtree(grid, ignore_errors=True)
+        return run_logged([sys.executable, "-c", ""], cell.log)
+
+    monkeypatch.setattr(sweep, "train_cell", removing)
+    words = [toy_capture.folder, "-o", grid, "--seeds", 1, 2, "--device", "cpu", "--set", "perceptual_weight=0"]
+    assert run(monkeypatch, *words, "--train-only") == 1
+    assert capfd.readouterr().err.count("removed or renamed") == 2 and not grid.exists()
+
+
+def test_sigterm_ends_the_trainings_too(tmp_path: Path) -> None:
+    """A training in a process of its own would otherwise go on for hours after its sweep."""
+    code = f"""
+import functools, sys
+from pathlib import Path
+from ggavatar.cli.run import run_command
+from ggavatar.sweeps.backends import CellTraining, LocalProcesses, run_logged
+place = Path({str(tmp_path)!r})
+child = [sys.executable, "-c", f"import time; open({{str(place / 'child')!r}}, 'w').close(); time.sleep(600)"]
+cells = [CellTraining(str(number), functools.partial(run_logged, child, place / "log")) for number in range(3)]
+sys.exit(run_command(lambda: len(list(LocalProcesses(1).run(cells)))))
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "child").exists():
+        time.sleep(0.05)
+        assert process.poll() is None
+    process.terminate()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 143 and errors.startswith("terminated")

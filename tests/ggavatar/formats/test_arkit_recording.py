@@ -17,6 +17,7 @@ from ggavatar.formats.arkit_recording import ARKIT_NAMES, is_arkit_recording, re
 from ggavatar.io.npz import write_npz
 from ggavatar.landmarks.blendshapes import NAMES
 from tests.support.damaged_files import check_value_mutations, refused_mutants
+from tests.support.measured import costs
 
 EYES = ("Blink", "LookDown", "LookIn", "LookOut", "LookUp", "Squint", "Wide")
 COLUMNS = """
@@ -163,3 +164,20 @@ def test_seeded_mutations(tmp_path, suffix):
     refused_mutants(path, original, lambda: read_arkit_recording(path), random.Random(suffix).random())
     if suffix == "json":
         check_value_mutations(path, original, lambda: read_arkit_recording(path), 0)
+
+
+def test_recordings_that_would_fill_the_memory(tmp_path):
+    """Lines without end, columns and rows without number, frames with no scores: refused in bounded memory."""
+    names = ",".join(f"c{number}" for number in range(900))
+    files = {
+        "line.csv": b"," * 40_000_000,
+        "quotes.csv": b"time,jawOpen\n" + b'"\n",' * 5_000_000,
+        "columns.csv": b",".join(b"x" for _ in range(30_000)) + b"\n1\n",
+        "rows.csv": names.encode() + b"\n" + b"1\n" * 60_000,
+        "frames.json": b'{"names": [' + b'"a",' * 999 + b'"b"], "frames": [' + b"0," * 900_000 + b"0]}",
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    found = costs("ggavatar.formats.arkit_recording", "read_arkit_recording", [tmp_path / name for name in files])
+    for name, cost in zip(files, found, strict=True):
+        assert cost.message and name in cost.message and cost.seconds < 10 and cost.peak < 1000, (name, cost)

@@ -13,7 +13,8 @@ import torch
 from ggavatar.core import Drive
 from ggavatar.formats.arkit_recording import ARKIT_NAMES
 from ggavatar.head.arkit_map import Target, arkit_map
-from ggavatar.head.axis_names import TRACKED_AXES, axis_names
+from ggavatar.head.axis_names import axis_names
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.ict import EXPRESSIONS
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
@@ -25,7 +26,9 @@ def head() -> HeadModel:
 
 
 def with_axes(head: HeadModel, version: str, count: int) -> HeadModel:
-    return dataclasses.replace(head, version=version, expression_basis=torch.zeros(len(head.template), 3, count))
+    return dataclasses.replace(
+        head, version=version, expression_names=(), expression_basis=torch.zeros(len(head.template), 3, count)
+    )
 
 
 def moved(head: HeadModel, name: str) -> torch.Tensor:
@@ -42,7 +45,7 @@ def test_names_of_axes() -> None:
     head = procedural_head()
     assert axis_names(head)[:2] == ("smile_left", "smile_right") and len(axis_names(head)) == 44
     tracked = axis_names(with_axes(head, "tracked-2", 40))
-    assert tracked[:37] == TRACKED_AXES and tracked[37:] == ("personal_1", "personal_2", "neck_length")
+    assert tracked[:37] == TRACKED_AXES and tracked[37:] == ("own1", "own2", "neckLength")
     assert axis_names(with_axes(head, "ict-facekit-1", 53)) == EXPRESSIONS
     assert axis_names(with_axes(head, "flame2020", 3)) == ("expression_1", "expression_2", "expression_3")
     assert axis_names(with_axes(head, "procedural-1", 3))[0] == "expression_1", "cut to fewer axes, nothing is known"

@@ -19,7 +19,7 @@ import scipy.sparse
 import torch
 
 from ggavatar.errors import InputError
-from ggavatar.io import restricted_pickle
+from ggavatar.io import restricted_unpickler
 from ggavatar.io.restricted_pickle import read_pickle
 from tests.support.flame_files import chumpy_pickle
 
@@ -137,7 +137,7 @@ def payloads(marker):
 
 def test_nothing_runs(tmp_path):
     marker, path = tmp_path / "ran", tmp_path / "evil.pkl"
-    defaults = restricted_pickle._reconstructor.__defaults__
+    defaults = restricted_unpickler._reconstructor.__defaults__
     attempts = list(payloads(marker))
     for payload in attempts:
         path.write_bytes(payload)
@@ -152,7 +152,7 @@ def test_nothing_runs(tmp_path):
             found = read_pickle(tmp_path / "evil.frame")
             raise InputError("harmless")
     assert len(attempts) > 20 and not marker.exists()
-    assert restricted_pickle._reconstructor.__defaults__ == defaults
+    assert restricted_unpickler._reconstructor.__defaults__ == defaults
 
 
 def test_message_says_what_was_refused(tmp_path):

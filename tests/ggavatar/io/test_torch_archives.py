@@ -216,10 +216,10 @@ def test_small_files_cannot_hang_or_fill_the_memory(tmp_path, name):
                 archive.writestr("x/data.pkl", HOSTILE[name])
         else:
             path.write_bytes(HOSTILE[name])
-        before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+        before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
         with pytest.raises(InputError, match=r"bomb\.frame"):
             read_pickle(path)
-        assert time.monotonic() - began < 5
+        assert time.process_time() - began < 5
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 << 10
 
 

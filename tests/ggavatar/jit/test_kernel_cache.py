@@ -1,6 +1,6 @@
 """The cache of compiled kernels follows every source, and damaged or foreign files in it are compiled anew.
 
-Also covers `ggavatar/io/cache_folder.py`.
+Also covers `ggavatar/io/cache_folder.py` and `ggavatar/jit/private_folder.py`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from ggavatar.jit import kernel_cache
+from ggavatar.jit.private_folder import is_own_file, is_private
 
 ROOT = Path(__file__).parents[3]
 
@@ -139,37 +140,100 @@ def test_damaged_cache_files_are_compiled_anew(
     assert not planted.exists()
 
 
-def test_the_cache_can_be_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
-    folder = kernel_cache.kernel_folder()
-    assert folder == tmp_path / "ggavatar" / "compiled"
-    if os.name == "posix":
-        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-
-
-@pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
-@pytest.mark.parametrize("kind", ["file", "writable by others", "link"])
-def test_a_folder_that_others_could_have_written_is_not_trusted(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "ggavatar" / "compiled"
-    folder.parent.mkdir()
+def _plant(kind: str, folder: Path) -> None:
+    """Make `folder` one that another user could have filled."""
     if kind == "file":
         folder.write_text("")
     elif kind == "link":
-        (tmp_path / "elsewhere").mkdir(mode=0o700)
-        folder.symlink_to(tmp_path / "elsewhere")
+        (folder.parent / "elsewhere").mkdir(mode=0o700)
+        folder.symlink_to(folder.parent / "elsewhere")
+    elif kind == "folder above is a link to a shared one":
+        (folder.parent.parent / "shared").mkdir()
+        (folder.parent.parent / "shared").chmod(0o777)
+        folder.parent.rmdir()
+        folder.parent.symlink_to(folder.parent.parent / "shared")
+        folder.mkdir(mode=0o700)
     else:
-        folder.mkdir()
-        folder.chmod(0o777)
-    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path))
+        folder.mkdir(mode=0o700)
+        mode = {"group": 0o770, "others": 0o777, "sticky": 0o1777, "folder above": 0o777}[kind]
+        (folder.parent if kind == "folder above" else folder).chmod(mode)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
+@pytest.mark.parametrize("variable", ["GGAVATAR_CACHE", "NUMBA_CACHE_DIR"])
+@pytest.mark.parametrize(
+    "kind", ["file", "link", "group", "others", "sticky", "folder above", "folder above is a link to a shared one"]
+)
+def test_a_folder_that_others_could_have_written_is_not_trusted(
+    kind: str, variable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv(variable, str(tmp_path if variable == "GGAVATAR_CACHE" else tmp_path / "chosen"))
+    folder = tmp_path / ("ggavatar/compiled" if variable == "GGAVATAR_CACHE" else "chosen/ggavatar")
+    folder.parent.mkdir()
+    _plant(kind, folder)
     used = kernel_cache.kernel_folder()
-    assert tmp_path not in used.parents and kernel_cache.is_private(used)
-    assert str(used) in capsys.readouterr().err
+    assert tmp_path not in used.parents and is_private(used)
+    assert str(used) in (said := capsys.readouterr().err) and said.count("\n") == 1
     kernel_cache._remove(used, os.getpid() + 1)
     assert used.is_dir()
     kernel_cache._remove(used, os.getpid())
     assert not used.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="owners of POSIX")
+def test_a_folder_of_another_user_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder is ours; who we are is changed, since only root could change whose it is."""
+    folder = tmp_path / "ours"
+    folder.mkdir(mode=0o700)
+    (folder / "file").write_text("")
+    assert is_private(folder) and is_own_file(str(folder / "file"))
+    monkeypatch.setattr(os, "geteuid", lambda: 12345)
+    assert not is_private(folder) and not is_own_file(str(folder / "file"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="groups of POSIX")
+@pytest.mark.parametrize(("members", "trusted"), [([], True), (["somebody"], False)])
+def test_a_group_of_the_user_alone_may_write_above(
+    members: list[str], trusted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on systems that give every user a group and let it write (umask 002)."""
+    import grp
+    import pwd
+
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    group = grp.struct_group((user, "x", 0, members))
+    monkeypatch.setattr(grp, "getgrgid", lambda _: group)
+    folder = tmp_path / "above" / "cache"
+    folder.mkdir(parents=True, mode=0o700)
+    folder.parent.chmod(0o775)
+    assert is_private(folder) is trusted
+
+
+def test_folders_of_the_cache_are_closed_to_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "new"))
+    before = os.umask(0)
+    try:
+        folder = kernel_cache.kernel_folder()
+    finally:
+        os.umask(before)
+    assert folder == tmp_path / "new" / "ggavatar" / "compiled"
+    if os.name == "posix":
+        assert all(stat.S_IMODE(part.stat().st_mode) == 0o700 for part in (folder, folder.parent, tmp_path / "new"))
+
+
+def test_files_planted_in_a_shared_folder_do_not_run(compiled_program: tuple[Path, Path], tmp_path: Path) -> None:
+    """The kernels of another user's cache, with a sound digest, in the place that $NUMBA_CACHE_DIR names."""
+    script, intact = compiled_program
+    shared = tmp_path / "shared"
+    shutil.copytree(intact / "ggavatar" / "compiled", shared / "ggavatar")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(shared), "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    for mode, hits in ((0o700, "42 1"), (0o777, "42 0")):
+        shared.chmod(mode)
+        ran = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True, check=True)
+        assert ran.stdout.strip() == hits, mode
+        assert ("for this process only" in ran.stderr) == (mode == 0o777)
 
 
 def test_a_temporary_cache_ends_with_its_process(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ OFFICIAL = (
     "https://storage.googleapis.com/mediapipe-",
     "https://download.pytorch.org/models/",
     "https://media.githubusercontent.com/media/opencv/opencv_zoo/",
+    "https://github.com/PeterL1n/RobustVideoMatting/releases/download/",
 )
 
 

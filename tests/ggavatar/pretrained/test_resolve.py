@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from ggavatar.errors import InputError
+from ggavatar.io.folder_lock import lock_folder
 from ggavatar.pretrained import resolve as module
 from ggavatar.pretrained.catalogue import MODELS, Model, Version
 from ggavatar.pretrained.folders import downloads_folder, export_choice, is_offline, model_folders
@@ -235,3 +236,25 @@ def test_a_commands_choice_is_passed_on_in_the_environment(empty_places: Path, m
     assert is_offline() and model_folders()[0] == empty_places / "given"
     with pytest.raises(InputError, match="no such folder"):
         export_choice(empty_places / "nowhere", False)
+
+
+def test_two_downloads_at_once_are_one(in_archive: FakeIndex, empty_places: Path) -> None:
+    """The second waits for the first, says for whom, and finds the file."""
+    downloads_folder().mkdir(parents=True)
+    code = "import sys; sys.argv[0] = 'ggavatar-models'; from ggavatar.pretrained.resolve import ModelFinder\n"
+    code += "import ggavatar.pretrained.resolve as module; from tests.support.fake_index import made_up_model\n"
+    code += "module.MODELS['net'] = made_up_model(); print(ModelFinder().find('net'))"
+    environment = {**os.environ, "GGAVATAR_OFFLINE": "0", "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", code]
+    with lock_folder(downloads_folder()):
+        second = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path.cwd()
+        )
+        assert second.stderr is not None
+        assert f"(process {os.getpid()} on " in second.stderr.readline()
+        path = downloads_folder() / MODELS["net"].versions[0].files[0]
+        path.write_bytes(CONTENTS)
+    out, _ = second.communicate(timeout=60)
+    assert out == f"{path}\n" and second.returncode == 0
+    assert not in_archive.requests
+    assert [entry.name for entry in downloads_folder().iterdir()] == [path.name]

@@ -13,7 +13,7 @@ from ggavatar.cli import sweep
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.sweeps import cell as cells
-from ggavatar.sweeps.time_budget import PILOT_STEPS, LoggedTime, seconds_per_step, steps_within
+from ggavatar.sweeps.time_budget import PILOT_STEPS, LoggedTime, fitting_steps, seconds_per_step, steps_within
 
 STUB = """#!{python}
 import json, pathlib, sys
@@ -96,3 +96,12 @@ def test_a_real_cell_trains_as_long_as_its_pilot_says(toy_capture: Capture, tmp_
     assert provenance["argv"][provenance["argv"].index("--steps") + 1] == str(config["training"]["steps"])
     assert provenance["steps"] == config["training"]["steps"] < 5000
     assert not list(grid.rglob("*-pilot"))
+
+
+def test_only_the_run_in_a_pilots_folder_is_removed(tmp_path: Path) -> None:
+    pilot = tmp_path / "seed-7-pilot"
+    (pilot / "checkpoints").mkdir(parents=True)
+    (pilot / "checkpoints" / "step-000000001.json").write_text("{}")
+    (pilot / "notes.txt").write_text("years of work")
+    assert fitting_steps(1.0, pilot, lambda more: 1).code == 1
+    assert [path.name for path in pilot.iterdir()] == ["notes.txt"]

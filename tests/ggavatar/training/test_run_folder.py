@@ -13,6 +13,7 @@ import torch
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
+from ggavatar.io.json_files import read_json
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.training.run_folder import choose_split, open_run, read_config
 from ggavatar.training.session import configure, describe, train_run, with_settled_features
@@ -58,14 +59,14 @@ def test_earlier_checkpoint_can_be_opened(finished: Path) -> None:
 
 
 def test_run_finds_a_capture_that_moved_along(copy: Path) -> None:
-    config = json.loads((copy / "config.json").read_text())
+    config = read_json(copy / "config.json")
     config["capture"] = "/nowhere/else"
     (copy / "config.json").write_text(json.dumps(config))
     assert open_run(copy).capture.folder.resolve() == (copy.parent / "capture").resolve()
 
 
 def test_lost_capture_is_named_and_can_be_given(copy: Path) -> None:
-    config = json.loads((copy / "config.json").read_text())
+    config = read_json(copy / "config.json")
     (copy / "config.json").write_text(json.dumps({**config, "capture": "/nowhere/else"}))
     (copy.parent / "capture").rename(copy.parent / "elsewhere")
     with pytest.raises(InputError, match="/nowhere/else"):
@@ -85,9 +86,31 @@ def test_lost_capture_is_named_and_can_be_given(copy: Path) -> None:
     ],
 )
 def test_damaged_config_is_refused(copy: Path, change: dict[str, Any], message: str) -> None:
-    config = json.loads((copy / "config.json").read_text())
+    config = read_json(copy / "config.json")
     (copy / "config.json").write_text(json.dumps({**config, **change}))
     with pytest.raises(InputError, match=message):
+        open_run(copy)
+
+
+def test_a_changed_setting_is_noticed(copy: Path) -> None:
+    """Its seal no longer fits; without a seal, as version 0.1 wrote it, the change is taken as meant."""
+    text = (copy / "config.json").read_text()
+    assert text.count('"seed": 42') == 1
+    (copy / "config.json").write_text(text.replace('"seed": 42', '"seed": 43'))
+    with pytest.raises(InputError, match=r"config\.json: changed since .* remove its entry 'content_sha256'"):
+        open_run(copy)
+    values = json.loads((copy / "config.json").read_text())
+    del values["content_sha256"]
+    (copy / "config.json").write_text(json.dumps(values))
+    assert open_run(copy).config.seed == 43
+
+
+@pytest.mark.parametrize("name", ["split.json", "provenance.json"])
+def test_other_records_of_a_run_are_sealed_too(copy: Path, name: str) -> None:
+    text = (copy / name).read_text()
+    place = next(place for place, letter in enumerate(text) if letter.isdigit())
+    (copy / name).write_text(f"{text[:place]}{(int(text[place]) + 1) % 10}{text[place + 1 :]}")
+    with pytest.raises(InputError, match=f"{name}: "):
         open_run(copy)
 
 

@@ -1,4 +1,7 @@
-"""Sessions lose and mix nothing: two writers, stops before the first step, removed folders, changed captures, typos."""
+"""Sessions lose and mix nothing: two writers, stops before the first step, removed folders, changed captures, typos.
+
+Also covers `ggavatar/training/same_capture.py`.
+"""
 
 from __future__ import annotations
 
@@ -133,6 +136,36 @@ def test_a_run_that_was_copied_with_its_capture_resumes(
     )
     with pytest.raises(InputError, match=r"not on .*which has other contents"):
         train_run(moved / "capture", tmp_path / "run", {"resume": True}, quiet=True)
+
+
+def test_a_run_and_a_capture_that_were_moved_apart_resume(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The capture is at none of the places that the run knows, but the user names it, and it is the same."""
+    with monkeypatch.context() as killed, pytest.raises(ProcessLookupError):
+        stop_after(3, killed)
+        train_run(capture, tmp_path / "run", PLAIN, quiet=True)
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    moved, run = capture.rename(tmp_path / "a" / "renamed"), (tmp_path / "run").rename(tmp_path / "a" / "b" / "run")
+    assert train_run(moved, run, {"resume": True}, quiet=True) == 6
+
+
+def test_another_run_under_the_same_name_is_not_written_into(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody moves the folder away and begins anew while the first training still runs."""
+    run, plain = tmp_path / "run", trainer.Trainer._step
+
+    def step(self: Any, number: int, *arguments: Any) -> Any:
+        if number == 4:
+            run.rename(tmp_path / "moved")
+            (run / "checkpoints").mkdir(parents=True)
+        return plain(self, number, *arguments)
+
+    monkeypatch.setattr(trainer.Trainer, "_step", step)
+    with pytest.raises(FileNotFoundError, match="removed or renamed"):
+        train_run(capture, run, PLAIN, quiet=True)
+    assert not list((run / "checkpoints").iterdir())
 
 
 def test_a_damaged_newest_checkpoint_is_said_and_the_one_before_is_used(

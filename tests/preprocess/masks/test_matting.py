@@ -5,6 +5,8 @@ Also covers `preprocess/masks/grabcut.py`, `preprocess/masks/networks.py`.
 
 from __future__ import annotations
 
+import sys
+import types
 import warnings
 from dataclasses import dataclass
 
@@ -101,38 +103,101 @@ def test_unknown_masks():
         open_matting("rvm.onnx", None, True)
 
 
-def test_files_that_are_no_networks(tmp_path):
-    for name in ("x.torchscript", "x.onnx"):
+def test_files_that_are_no_networks(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", FakeRuntime())
+    for name in ("x.torchscript", "x.pt", "x.pth", "x.onnx", "x"):
         (tmp_path / name).write_bytes(b"nothing")
-        with pytest.raises(InputError, match=name):
+        with pytest.raises(InputError, match=name) as caught:
             open_matting(str(tmp_path / name), None, True)
+        assert "ggavatar-models --fetch rvm" in str(caught.value)
 
 
-def test_rvm_torchscript_carries_its_state(tmp_path):
-    """Reference: a scripted module with RVM's signature whose alpha is the number of images it has seen, in tenths."""
+def test_torchscript_does_not_run(tmp_path):
+    """A scripted network that overwrites a file when it is called; nothing is loaded, and the file stays."""
     import torch
 
-    class Scripted(torch.nn.Module):
-        def forward(
-            self,
-            src: torch.Tensor,
-            r1: torch.Tensor | None,
-            r2: torch.Tensor | None,
-            r3: torch.Tensor | None,
-            r4: torch.Tensor | None,
-            downsample_ratio: float,
-        ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-            count = torch.zeros(1)
-            if r1 is not None:
-                count = r1
-            return src, (count + 1) / 10 + 0 * src[:, :1], count + 1, count, count, count
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"mine")
 
-    path = tmp_path / "rvm.torchscript"
+    class Writes(torch.nn.Module):
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.name = name
+
+        def forward(self, x: torch.Tensor) -> torch.Tensor:
+            torch.from_file(self.name, shared=True, size=1024, dtype=torch.uint8).fill_(65)
+            return x
+
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # torch says that TorchScript is old; RVM's files are
-        torch.jit.script(Scripted()).save(str(path))
-    masks = list(open_matting(str(path), None, True).masks(disc(30) for _ in range(3)))
+        warnings.simplefilter("ignore")  # torch says that TorchScript is old
+        torch.jit.script(Writes(str(victim))).save(str(tmp_path / "rvm.torchscript"))
+    for name in ("rvm.torchscript", "rvm.pt", "rvm.onnx"):
+        (tmp_path / name).write_bytes((tmp_path / "rvm.torchscript").read_bytes())
+        with pytest.raises(InputError, match=name):
+            list(open_matting(str(tmp_path / name), None, True).masks([disc(30)]))
+    assert victim.read_bytes() == b"mine"
+
+
+class FakeRuntime(types.ModuleType):
+    """onnxruntime with RVM's signature, whose alpha is the number of images it has seen, in tenths."""
+
+    def __init__(self, outputs=6, names=("src", "r1i", "r2i", "r3i", "r4i", "downsample_ratio")):
+        super().__init__("onnxruntime")
+        self.outputs, self.names = outputs, names
+
+    def SessionOptions(self):
+        return types.SimpleNamespace()
+
+    def InferenceSession(self, content, options, **_):
+        assert options.log_severity_level == 4
+        if content != b"network":
+            raise RuntimeError("INVALID_PROTOBUF\nmore")
+        return self
+
+    def get_inputs(self):
+        return [types.SimpleNamespace(name=name) for name in self.names]
+
+    def run(self, _, inputs):
+        count = inputs["r1i"] + 1
+        alpha = count / 10 + 0 * inputs["src"][:, :1]
+        return [inputs["src"], alpha, count, count, count, count][: self.outputs]
+
+
+def test_rvm_carries_its_state(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", FakeRuntime())
+    (tmp_path / "rvm.onnx").write_bytes(b"network")
+    masks = list(open_matting(str(tmp_path / "rvm.onnx"), None, True).masks(disc(30) for _ in range(3)))
     assert [round(mask.mean() / 25.5) for mask in masks] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("fake", [FakeRuntime(outputs=4), FakeRuntime(names=("x",))])
+def test_another_network_than_rvm(fake, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", fake)
+    (tmp_path / "other.onnx").write_bytes(b"network")
+    with pytest.raises(InputError, match=r"other\.onnx: expected"):
+        list(open_matting(str(tmp_path / "other.onnx"), None, True).masks([disc(30)]))
+
+
+def test_a_network_that_reads_other_files(tmp_path):
+    """ONNX's external tensors: `StringStringEntryProto {key: "location", value: …}`, by its specification."""
+    entry = b"\x0a\x08location\x12\x0b/etc/passwd"
+    (tmp_path / "external.onnx").write_bytes(b"\x08\x07\x3a" + bytes([len(entry)]) + entry)
+    with pytest.raises(InputError, match="reads others"):
+        open_matting(str(tmp_path / "external.onnx"), None, True)
+
+
+def test_without_onnxruntime(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    (tmp_path / "rvm.onnx").write_bytes(b"network")
+    with pytest.raises(InputError, match="pip install onnxruntime"):
+        open_matting(str(tmp_path / "rvm.onnx"), None, True)
+
+
+def test_rvm_by_name_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("GGAVATAR_MODELS", str(tmp_path))
+    monkeypatch.setenv("GGAVATAR_CACHE", str(tmp_path / "cache"))
+    with pytest.raises(InputError, match="ggavatar-models --fetch rvm"):
+        open_matting("rvm", None, True)
 
 
 def key(image):

@@ -13,6 +13,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.io.images import read_gray, write_png
 from preprocess.cli.prep import main
 from preprocess.doctor import diagnosis
+from preprocess.synthetic.demo import DemoSettings, write_demo
 from tests.support.synthetic_clip import draw
 
 
@@ -153,3 +154,23 @@ def test_masks_without_numbers_need_one_for_every_frame(clip, masks, tmp_path, c
     (folder / "c.png").unlink()
     assert run(clip, tmp_path / "d", folder) == 2
     assert "no numbers in the names of the 23 masks" in said(capsys)
+
+
+@pytest.mark.slow
+def test_masks_that_cannot_be_used_are_left_out_as_the_message_says(tmp_path, capsys, models_folder):
+    """White masks are refused; the same command without --masks ends in a right capture, where it left off."""
+    subject = tmp_path / "subject"
+    for _ in write_demo(subject, DemoSettings(identity=2, frames=12, size=192)):
+        pass
+    right = [read_gray(path) for path in sorted((subject / "masks").glob("*.png"))]
+    white = written(tmp_path / "white", [np.full_like(mask, 255) for mask in right])
+    given = [str(subject / "video.mp4"), "--tracking", str(subject / "tracking"), "--head-model"]
+    given += [str(subject / "head.npz"), "--size", "192", "--models", str(models_folder), "-o", str(tmp_path / "c")]
+    assert main([*given, "--masks", str(white)]) == 2
+    assert "255 (white) everywhere" in (message := said(capsys)) and "leave --masks out" in message
+    assert main(given) == 0
+    assert "doctor: healthy" in said(capsys)
+    capture = Capture.open(tmp_path / "c")
+    for row, truth in enumerate(right):
+        found, wanted = capture.mask(row) / 255, truth / 255
+        assert np.minimum(found, wanted).sum() > 0.95 * np.maximum(found, wanted).sum()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import os
 import shutil
 from pathlib import Path
 
@@ -16,9 +17,13 @@ import pytest
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.images import write_png
+from preprocess.cli.doctor import main as doctor
 from preprocess.cli.prep import main
 from preprocess.formats.importers import metrical_tracker
+from preprocess.options import PrepOptions
+from preprocess.pipeline import pipeline
 from tests.support.synthetic_clip import draw, make_clip, write_video
 
 
@@ -43,6 +48,23 @@ def test_capture_has_the_known_pixels(capture, clip):
         image, mask = draw(clip.head, clip.record, number)
         np.testing.assert_array_equal(capture.mask(number), mask)
         assert np.abs(capture.image(number).astype(int) - image).mean() < 6
+
+
+def test_the_doctor_waits_for_nobody_and_reads_what_it_may_not_write(capture, monkeypatch, capsys):
+    """Another writer is named; a read-only capture is examined with the flag that the message names."""
+    from preprocess.doctor import diagnosis
+
+    def refuse(*_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(capture.folder))
+
+    with lock_folder(capture.folder):
+        assert doctor([str(capture.folder)]) == 2 and "is writing here" in capsys.readouterr().err
+        assert doctor([str(capture.folder), "--dry-run"]) == 0, "a reader takes no lock"
+    monkeypatch.setattr(diagnosis, "write_report", refuse)
+    assert doctor([str(capture.folder)]) == 1
+    error = capsys.readouterr().err
+    assert "cannot be written (Permission denied); add --dry-run" in error and "-o" not in error
+    assert doctor([str(capture.folder), "--dry-run"]) == 0
 
 
 def run(clip, folder, *more, **replaced):
@@ -106,12 +128,12 @@ def test_options_that_an_imported_tracking_ignores_are_refused(clip, tmp_path, c
 
 
 def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
-    """Killed in the middle of each stage: no capture is left that opens, and --resume finishes it."""
-    from preprocess.pipeline import crop_stage, mask_stage, pipeline
+    """Killed in the middle of each stage: no capture is left that opens; the same command finishes it, or --resume."""
+    from preprocess.pipeline import crop_stage, mask_stage
 
     whole = tmp_path / "whole"
     assert run(clip, whole) == 0
-    for module in (crop_stage, mask_stage):
+    for module, flags in ((crop_stage, ()), (mask_stage, ("--resume",))):
         folder = tmp_path / module.__name__
         calls = 0
         write = module.write_png
@@ -128,9 +150,7 @@ def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
             assert run(clip, folder) == 130
         with pytest.raises(InputError, match="--resume"):
             Capture.open(folder)
-        assert run(clip, folder) == 2
-        assert "--resume to continue" in said(capsys)
-        assert run(clip, folder, "--resume") == 0
+        assert run(clip, folder, *flags) == 0
         assert Capture.open(folder).digest() == Capture.open(whole).digest()
     assert pipeline.STAGES[0].name == "frames"
 
@@ -143,6 +163,87 @@ def test_a_finished_capture_that_lost_an_image_is_not_called_finished(clip, tmp_
     message = said(capsys)
     assert "000007.png" in message and "--overwrite" in message
     assert run(clip, folder, "--overwrite") == 0
+
+
+def test_a_second_command_is_refused_by_name(clip, tmp_path, capsys):
+    folder = tmp_path / "c"
+    folder.mkdir()
+    with lock_folder(folder):
+        for flags in ((), ("--resume",)):
+            assert run(clip, folder, *flags) == 2
+            text = said(capsys)
+            assert f"{folder}: " in text and f"(process {os.getpid()} on " in text
+        assert all(map(is_lock_file, folder.iterdir()))
+
+
+def test_resume_of_nothing_is_a_typo(clip, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for name in ("nowhere", "empty"):
+        assert run(clip, tmp_path / name, "--resume") == 2
+        assert "--resume found no capture to continue here; check -o" in said(capsys)
+    assert not (tmp_path / "nowhere").exists() and not list((tmp_path / "empty").iterdir())
+
+
+@pytest.mark.parametrize("left", [".lock", ".lock.json", ".prep/", ".prep/.abc.json.part", ".prep/frames.json"])
+@pytest.mark.parametrize("flag", ["", "resume", "overwrite"])
+def test_a_start_that_was_killed_early_blocks_nothing(tmp_path, left, flag):
+    """Checked without the stages, which would take the time of 15 captures."""
+    folder = tmp_path / "c"
+    path = folder / left
+    path.parent.mkdir(parents=True)
+    if left.endswith("/"):
+        path.mkdir()
+    else:
+        path.write_text("{" if "part" in left or "lock" in left else '{"fingerprint": "another"}')
+    options = PrepOptions(tmp_path / "video.mp4", folder, **({flag: True} if flag else {}))
+    pipeline.check_folder(options, pipeline.STAGES[0], "wanted")
+    pipeline._begin(options, pipeline.STAGES)
+    assert not list(folder.rglob("*.part"))
+
+
+def test_a_wrong_argument_does_not_block_the_corrected_command(clip, tmp_path, capsys):
+    folder, masks = tmp_path / "c", tmp_path / "masks"
+    for row in range(24):
+        write_png(masks / f"{row:05d}.png", np.zeros((50, 40), np.uint8))
+    assert run(clip, folder, masks=masks) == 2 and said(capsys)
+    images = [path.stat().st_mtime_ns for path in sorted((folder / "images").iterdir())]
+    write_video(tmp_path / "other.mp4", [np.full((96, 96, 3), 90 + row, np.uint8) for row in range(24)])
+    assert run(clip, folder, video=tmp_path / "other.mp4") == 2, "another video may not replace what was begun"
+    assert "exists already" in said(capsys)
+    assert run(clip, folder) == 0
+    assert images == [path.stat().st_mtime_ns for path in sorted((folder / "images").iterdir())]
+
+
+def test_overwriting_loses_neither_the_capture_nor_what_others_put_beside_it(clip, tmp_path, capsys):
+    """The video cannot be read: the earlier capture stays. It can: the user's notes stay."""
+    folder = tmp_path / "c"
+    assert run(clip, folder) == 0
+    digest = Capture.open(folder).digest()
+    (folder / "notes.txt").write_text("years of work")
+    (tmp_path / "text.mp4").write_text("no video")
+    assert run(clip, folder, "--overwrite", video=tmp_path / "text.mp4") == 2
+    assert Capture.open(folder).digest() == digest
+    assert run(clip, folder, "--overwrite", size=64) == 0
+    assert Capture.open(folder).width == 64 and (folder / "notes.txt").read_text() == "years of work"
+    (folder / ".prep" / "tracking.json").write_text('{"fing')
+    assert run(clip, folder, "--resume", size=64) == 0, "a damaged record: its stage runs again"
+
+
+def test_a_folder_that_is_removed_meanwhile_does_not_come_back(clip, tmp_path, monkeypatch, capsys):
+    from preprocess.pipeline import mask_stage
+
+    write, folder, calls = mask_stage.write_png, tmp_path / "c", []
+
+    def removing(path, image):
+        calls.append(path)
+        if len(calls) == 5:
+            shutil.rmtree(folder)
+        write(path, image)
+
+    monkeypatch.setattr(mask_stage, "write_png", removing)
+    assert run(clip, folder) == 1
+    assert f"{folder}: the folder was removed or renamed while it was written" in said(capsys)
+    assert not folder.exists()
 
 
 def test_existing_folders_are_safe(clip, tmp_path, capsys):

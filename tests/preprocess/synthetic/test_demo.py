@@ -193,11 +193,14 @@ def test_a_folder_with_files_is_refused_and_only_own_files_are_replaced(tmp_path
     (folder / "masks").mkdir(parents=True)
     (folder / "masks" / "00009.png").write_bytes(b"mine")
     (folder / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="--overwrite"):
-        prepare_demo_folder(folder, overwrite=False)
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match="found other files"):
+            prepare_demo_folder(folder, overwrite=overwrite)
     (folder / "demo.json").write_text('{"files": ["masks/00000.png", "../outside.txt"]}')
     (folder / "masks" / "00000.png").write_bytes(b"demo")
     (tmp_path / "outside.txt").write_text("mine")
+    with pytest.raises(InputError, match="--overwrite"):
+        prepare_demo_folder(folder, overwrite=False)
     prepare_demo_folder(folder, overwrite=True)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*"))
     assert left == ["outside.txt", "used/demo.json", "used/masks/00009.png", "used/notes.txt"]
@@ -231,3 +234,48 @@ def test_identity_out_of_range_exits_2(tmp_path, capsys):
         cli.main(["-o", str(tmp_path / "x"), "--id", "6"])
     assert caught.value.code == 2
     assert "invalid choice" in capsys.readouterr().err.lower()
+
+
+def test_an_unfinished_demo_is_replaced_by_the_same_command(tmp_path):
+    """Stopped after the second frame, then with what `kill -9` leaves; the bytes are those of one go."""
+    folder = tmp_path / "demo"
+    with pytest.raises(KeyboardInterrupt):
+        for index in write_demo(folder, SETTINGS):
+            if index == 1:
+                raise KeyboardInterrupt
+    assert not (folder / "video.mp4").exists(), "nothing half-written is taken for a video"
+    (folder / ".video.mp4.part").write_bytes(b"half")
+    (folder / "masks" / ".abc.png.part").write_bytes(b"half")
+    (folder / ".lock").touch()
+    prepare_demo_folder(folder, overwrite=False)
+    assert {path.name for path in folder.rglob("*") if path.is_file()} == {"demo.json", ".lock"}
+    list(write_demo(folder, SETTINGS))
+    (folder / ".lock").unlink()
+    list(write_demo(tmp_path / "whole", SETTINGS))
+    assert digests(folder) == digests(tmp_path / "whole")
+    with pytest.raises(InputError, match="--overwrite"):
+        prepare_demo_folder(folder, overwrite=False)
+
+
+def test_a_second_command_is_refused_and_a_removed_folder_does_not_come_back(tmp_path, capsys, monkeypatch):
+    import shutil
+
+    from ggavatar.io.folder_lock import lock_folder
+    from preprocess.synthetic import output_folder
+
+    folder = tmp_path / "demo"
+    words = ["-o", str(folder), "--frames", "9", "--size", "32"]
+    folder.mkdir()
+    with lock_folder(folder):
+        assert cli.main(words) == 2
+    assert "is writing here" in capsys.readouterr().err and not list(folder.iterdir())
+    plain = output_folder.write_png
+
+    def removing(path, image):
+        if path.name == "00008.png":
+            shutil.rmtree(folder)
+        plain(path, image)
+
+    monkeypatch.setattr(output_folder, "write_png", removing)
+    assert cli.main(words) == 1
+    assert "removed or renamed" in capsys.readouterr().err and not folder.exists()

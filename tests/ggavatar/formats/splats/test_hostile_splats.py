@@ -8,57 +8,22 @@ from __future__ import annotations
 import json
 import random
 import resource
+import struct
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 
 from ggavatar.errors import InputError
 from ggavatar.formats.gaussian_files import read_gaussians
 from ggavatar.formats.splats.file_kinds import file_kind
 from tests.support.damaged_files import COUNT, MAX_SECONDS, ODD_VALUES, check_value_mutations, mutate
-from tests.support.splat_files import SPZ_CODES, compressed_ply, ply, sog, sog_1, sog_2, spz, zipped
-
-
-def plain_ply(encoding: str) -> bytes:
-    generator = np.random.default_rng(0)
-    names = [*"xyz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(9)), "opacity"]
-    names += [*(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
-    other = {"other": {"a": np.arange(3, dtype="u1")}}
-    columns = {name: generator.normal(-0.5, 1, 20).astype(np.float32) for name in names}
-    return ply(other | {"vertex": columns}, encoding, comments=[b"\xff\xfe"])
-
-
-def older(version: int) -> bytes:
-    codes = SPZ_CODES | {"rotations": [[128, 127, 130]] * 3}
-    return spz(version, codes | ({"positions": [[0.1, 0.2, 0.3]] * 3} if version == 1 else {}), 1)
-
-
-def splat() -> bytes:
-    generator = np.random.default_rng(0)
-    floats = generator.uniform(0.01, 0.1, (40, 6)).astype("<f4").view(np.uint8).reshape(40, 24)
-    return (
-        np.c_[floats, generator.integers(1, 255, (40, 4)), np.full((40, 4), (255, 128, 128, 128))]
-        .astype("u1")
-        .tobytes()
-    )
-
-
-FILES: dict[str, Callable[[], bytes]] = {
-    "ascii.ply": lambda: plain_ply("ascii"),
-    "little.ply": lambda: plain_ply("binary_little_endian"),
-    "big.ply": lambda: plain_ply("binary_big_endian"),
-    "compressed.ply": lambda: compressed_ply(40)[1],
-    "1.spz": lambda: older(1),
-    "2.spz": lambda: older(2),
-    "3.spz": lambda: spz(3, SPZ_CODES, 1, axes=6),
-    "4.spz": lambda: spz(4, SPZ_CODES, 1, axes=6),
-    "1.sog": lambda: zipped(sog(*sog_1())),
-    "2.sog": lambda: zipped(sog(*sog_2())),
-    "a.splat": splat,
-}
+from tests.support.splat_files import sog, sog_1, sog_2, zipped
+from tests.support.splat_samples import SPLATS, plain_ply
 
 
 @pytest.fixture(autouse=True)
@@ -85,9 +50,9 @@ def read(path: Path) -> bool:
     return True
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", SPLATS)
 def test_mutated_bytes(tmp_path: Path, name: str) -> None:
-    path, original, generator, refused = tmp_path / name, FILES[name](), random.Random(len(name)), 0
+    path, original, generator, refused = tmp_path / name, SPLATS[name](), random.Random(len(name)), 0
     path.write_bytes(original)
     assert read(path)
     for _ in range(COUNT):
@@ -97,10 +62,10 @@ def test_mutated_bytes(tmp_path: Path, name: str) -> None:
     assert refused > COUNT // 20
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if name.endswith("ply")])
+@pytest.mark.parametrize("name", [name for name in SPLATS if name.endswith("ply")])
 def test_mutated_headers(tmp_path: Path, name: str) -> None:
     """Words of the header are replaced by others, among them counts up to 10³⁰."""
-    path, original, generator = tmp_path / name, FILES[name](), random.Random(1)
+    path, original, generator = tmp_path / name, SPLATS[name](), random.Random(1)
     end = original.index(b"end_header")
     words = original[:end].split(b" ")
     odd = [b"element", b"property", b"list", b"uint", b"double", b"vertex", b"x", b"\n", b"-1", b"0", b"1e9", b"9" * 12]
@@ -141,3 +106,34 @@ def test_a_line_without_end(tmp_path: Path) -> None:
     assert not read(tmp_path / "a.ply")
     (tmp_path / "a.ply").write_bytes(b"ply\ncomment " + b"x" * 20_000_000)
     assert not read(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("version", [2, 4])
+def test_a_small_file_of_many_gaussians(version: int, tmp_path: Path) -> None:
+    """Eight million Gaussians that are all zero: packed 700 times, so that no such file is of Gaussians."""
+    count = 8_000_000
+    head = struct.pack("<4sIIBBBB", b"NGSP", version, count, 0, 12, 0, 0 if version == 2 else 5)
+    if version == 2:
+        packer = zlib.compressobj(9, wbits=31)
+        data = packer.compress(head) + b"".join(packer.compress(bytes(19 * 100_000)) for _ in range(80))
+        data += packer.flush()
+    else:
+        streams = [zstandard.ZstdCompressor().compress(bytes(count * size)) for size in (9, 1, 3, 3, 4)]
+        sizes = [count * size for size in (9, 1, 3, 3, 4)]
+        table = b"".join(struct.pack("<QQ", len(s), size) for s, size in zip(streams, sizes, strict=True))
+        data = head + struct.pack("<I", 32) + bytes(12) + table + b"".join(streams)
+    path = tmp_path / "bomb.spz"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=rf"bomb\.spz: the file of {len(data)} bytes is too small"):
+        read_gaussians(path)
+
+
+def test_a_small_image_of_many_gaussians(tmp_path: Path) -> None:
+    """Images of a SOG with four million equal pixels."""
+    meta, images = sog_2()
+    images = {name: np.zeros((2048, 2048, 4), np.uint8) for name in images}
+    meta = meta | {"count": 2048 * 2048}
+    path = tmp_path / "bomb.sog"
+    path.write_bytes(zipped(sog(meta, images)))
+    with pytest.raises(InputError, match=r"bomb\.sog: .* is too small for 2048×2048 pixels"):
+        read_gaussians(path)

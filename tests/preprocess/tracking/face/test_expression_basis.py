@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.procedural.model import procedural_names
 from ggavatar.landmarks.blendshapes import NAMES
 from preprocess.tracking.face.expression_basis import (
@@ -22,7 +23,7 @@ from preprocess.tracking.face.expression_basis import (
 )
 from preprocess.tracking.geometry.landmark_model import FaceModel, FaceMotion
 from preprocess.tracking.geometry.rigid import LandmarkObservations, PinholeIntrinsics, RigidPoses, project_to_pixels
-from preprocess.tracking.head.expression_axes import AXES, axis_scores, generic_mixture
+from preprocess.tracking.head.expression_axes import axis_scores, generic_mixture
 from preprocess.tracking.tracker import rescaled_blinks
 
 FRAMES, POINTS, COUNT = 90, 40, 3
@@ -117,13 +118,13 @@ def test_axes_are_refined_and_fixed_ones_kept() -> None:
 def test_named_axes_map_to_generic_expressions() -> None:
     names, _ = procedural_names()
     mixture = generic_mixture()
-    assert mixture.shape == (len(names), len(AXES)) and len(AXES) == 37
-    smile = mixture[:, AXES.index("mouthSmileLeft")]
+    assert mixture.shape == (len(names), len(TRACKED_AXES)) and len(TRACKED_AXES) == 37
+    smile = mixture[:, TRACKED_AXES.index("mouthSmileLeft")]
     assert names[int(np.argmax(smile))] == "smile_left" and np.count_nonzero(smile) == 1
-    assert mixture[names.index("mouth_shift_right"), AXES.index("mouthRight")] == 1
-    assert not mixture[:, AXES.index("mouthClose")].any()
+    assert mixture[names.index("mouth_shift_right"), TRACKED_AXES.index("mouthRight")] == 1
+    assert not mixture[:, TRACKED_AXES.index("mouthClose")].any()
     scores = np.arange(52.0)[None]
-    assert axis_scores(scores)[0, AXES.index("noseSneerRight")] == NAMES.index("noseSneerRight")
+    assert axis_scores(scores)[0, TRACKED_AXES.index("noseSneerRight")] == NAMES.index("noseSneerRight")
 
 
 def test_blinks_are_rescaled_to_closed_lids_and_open_eyes_kept() -> None:

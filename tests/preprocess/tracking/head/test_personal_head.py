@@ -10,11 +10,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ggavatar.data.capture import Tracking
+from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.model import HeadModel
 from ggavatar.landmarks.bundle import CanonicalFace
 from preprocess.tracking.geometry import landmark_topology as topology
 from preprocess.tracking.geometry.projection import posed_vertices, project, silhouette
-from preprocess.tracking.head.expression_axes import AXES
 from preprocess.tracking.head.generic_head import JOINT_NAMES, GenericHead, generic_head
 from preprocess.tracking.head.personal_head import NECK_UNIT, PersonalShape, assemble_head, fit_shape, lid_axes
 from preprocess.tracking.head.silhouette_fit import OutlineMasks, fit_silhouette, silhouette_overlap
@@ -61,7 +61,7 @@ def test_template_passes_through_neutral_landmarks(generic: GenericHead, neutral
     missed = np.linalg.norm(generic.landmarks @ head.template.numpy() - neutral, axis=1)
     assert np.median(missed) < 0.0005 and np.percentile(missed, 95) < 0.002
     assert head.version == "tracked-2"
-    assert head.expression_basis.shape[2] == len(AXES) + 2 + 1, "named, personal, the neck's length"
+    assert head.expression_basis.shape[2] == len(TRACKED_AXES) + 2 + 1, "named, personal, the neck's length"
     np.testing.assert_allclose(head.skinning_weights.sum(dim=1).numpy(), 1, atol=1e-5)
 
 

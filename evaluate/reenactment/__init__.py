@@ -1,0 +1,1 @@
+"""How well an avatar shows what somebody else's face shows."""

@@ -1,0 +1,76 @@
+"""The performance of somebody else as an avatar performs it: read, measured and carried over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of, read_driving_sequence
+from evaluate.motion.expression_scores import with_scores
+from evaluate.motion.neutral import neutral_row
+from evaluate.motion.retarget import match_basis
+from evaluate.motion.transfer import TransferOptions, match_performance, transfer_performance
+from ggavatar.data.capture import Capture
+from ggavatar.errors import InputError
+from ggavatar.pretrained.resolve import ModelFinder
+from ggavatar.training.run_folder import Run
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A driving sequence, and the one that the avatar performs for it.
+
+    Attributes:
+        driver: As read, with expression scores where they could be measured.
+        moved: In the avatar's codes, seen by its camera; one row for each of the driver's.
+    """
+
+    driver: DrivingSequence
+    moved: DrivingSequence
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Frame numbers that show driver and avatar at rest; None finds them."""
+
+    driver: int | None = None
+    target: int | None = None
+
+
+def perform(
+    run: Run, source: Path, how: TransferOptions, rest: Rest, finder: ModelFinder, force: bool = False
+) -> Performance:
+    """Have the avatar of a run perform what a source shows.
+
+    Args:
+        run: The avatar.
+        source: Capture folder, npz of head parameters, or recording of ARKit's scores.
+        how: Transfer, smoothing and limits.
+        rest: Frames at rest.
+        finder: Finds the landmark networks.
+        force: As in `match_basis`; a transfer by what the faces show needs no common basis.
+
+    Raises:
+        InputError: The source cannot be read, or does not fit the avatar.
+    """
+    driver, target = read_driving_sequence(source), driving_sequence_of(run.capture)
+    if how.expression == "absolute" and how.pose == "absolute" and driver.cameras is None:
+        raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
+    rows = None if rest.driver is None else driver.row(rest.driver)
+    seen = target.rows(np.array([target.row(frame) for frame in run.split.train]))
+    goal = None if rest.target is None else seen.row(rest.target)
+    if how.expression == "matched":
+        if source.is_dir():
+            driver = with_scores(driver, Capture.open(source), finder)
+        if driver.scores is not None:
+            seen = with_scores(seen, run.capture, finder)
+        return Performance(driver, match_performance(driver, rows, seen, goal, how))
+    fitted = match_basis(driver, target, force)
+    rows, goal = _neutral(fitted, rows), _neutral(seen, goal)
+    return Performance(driver, transfer_performance(fitted, rows, seen, goal, how))
+
+
+def _neutral(sequence: DrivingSequence, row: int | None) -> int:
+    return neutral_row(sequence) if row is None else row
