@@ -267,7 +267,7 @@ def test_another_performance_becomes_a_clip(run: Run, toy_capture: Capture, monk
     assert {(camera.width, camera.height) for camera in clip.cameras} == {(toy_capture.width, toy_capture.height)}
     own = torch.stack([run.reader.drive(number).expression for number in toy_capture.frames])
     moved = torch.stack([drive.expression for drive in clip.drives])
-    assert float((moved - own).abs().mean()) < 0.3 * float(own.std()), "its own performance, smoothed"
+    assert np.corrcoef(moved.numpy().ravel(), own.numpy().ravel())[0, 1] > 0.5, "its own performance, carried over"
     monkeypatch.setattr(performances, "entry_points", lambda group: [])
     with pytest.raises(InputError, match="pip install"):
         performance_clip(run, toy_capture.folder)
