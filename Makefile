@@ -29,7 +29,9 @@ demo: $(VENV)/installed
 	@test -f $(CAPTURE)/preview.jpg || $(BIN)/ggavatar-prep $(SUBJECT)/video.mp4 --tracking $(SUBJECT)/tracking --masks $(SUBJECT)/masks \
 		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) --resume -o $(CAPTURE)
 	@$(BIN)/ggavatar-train $(CAPTURE) $(DEMO_METHOD) --steps $(DEMO_STEPS) $$(test -e $(RUN) && echo --resume) -o $(RUN)
+	@$(BIN)/ggavatar-export $(RUN) --clip all --overwrite -o $(RUN)/exports/avatar.html
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
+	@echo "see and move the avatar: open $(RUN)/exports/avatar.html in a browser"
 
 table: $(patsubst %,$(TABLE)/captures/subject-%/preview.jpg,$(TABLE_IDS))
 	@$(BIN)/ggavatar-sweep $(patsubst %,$(TABLE)/captures/subject-%,$(TABLE_IDS)) --methods $(TABLE_METHODS) \

@@ -59,8 +59,15 @@ def write_report(path: Path, compared: Sequence[EvaluationImages], megabytes: fl
         protocol=_protocol(evaluations[0]),
         provenance=[(name, _provenance(one), one.notes) for name, one in zip(names, evaluations, strict=True)],
         data=report_data(compared, megabytes),
+        avatar=_avatar_page(path),
     )
     write_text(path, text + "\n")
+
+
+def _avatar_page(report: Path) -> str | None:
+    """Relative address of the page that ggavatar-export wrote for the run of a report in RUN/eval/PROTOCOL, if any."""
+    page = Path("..", "..", "exports", "avatar.html")
+    return page.as_posix() if (report.parent / page).is_file() else None
 
 
 def _environment() -> Environment:

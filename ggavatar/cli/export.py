@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import Positional, arg
@@ -18,12 +18,17 @@ from ggavatar.errors import InputError, nearest
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 from ggavatar.formats.splats.file_kinds import SUFFIXES
+from ggavatar.formats.web.options import WebOptions
 from ggavatar.io.held_folders import hold_folder
 from ggavatar.text.terminal import write_out
 
+if TYPE_CHECKING:
+    from ggavatar.training.run_folder import Run
+
 SUBMISSION = "nersemble-submission"
 SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
-RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars")
+WEB, PAGE_SUFFIXES = "web", (".html", ".htm")
+RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars", WEB)
 _NEXT_STEPS = {
     "vhap": "in GaussianAvatars: python train.py -s {path} --bind_to_mesh --white_background",
     "flash-avatar": "make parsing/%05d_neckhead.png and _mouth.png for FlashAvatar, then train it on {path}",
@@ -38,8 +43,9 @@ class Arguments:
     """Run folder of ggavatar-train, FILE of Gaussians (PLY, .splat, .spz, SOG), capture folder of ggavatar-prep, or
     (nersemble-submission) folder of renderings."""
     format: str | None = None
-    """Of a run: ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz or
-    glb; of a capture: see above. By default that of the suffix of --output, else ply."""
+    """Of a run: web (a page that shows and drives it), ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to
+    the mesh); of FILE: ply, splat, spz or glb; of a capture: see above. By default that of the suffix of --output, else
+    ply."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
     """File or folder to write; RUN/exports/…, FILE.FORMAT or CAPTURE-FORMAT if not given."""
     neutral: bool = False
@@ -47,7 +53,8 @@ class Arguments:
     frame: tuple[int, ...] = ()
     """Export these source frames of the run's capture, one file each."""
     drive: Path | None = None
-    """Export every row of an .npz of head parameters (as for ggavatar-render --drive, or a flame_param.npz)."""
+    """Export every row of an .npz of head parameters (as for ggavatar-render --drive, or a flame_param.npz); web: a
+    performance to play, a capture folder or such a file, carried over as ggavatar-render --drive does."""
     capture: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where the capture of a run is now, if it was moved away from the run."""
     step: int | None = None
@@ -57,13 +64,14 @@ class Arguments:
     overwrite: bool = False
     """Replace an earlier export."""
     reading: tyro.conf.OmitArgPrefixes[GaussianReadingOptions] = field(default_factory=GaussianReadingOptions)
+    web: tyro.conf.OmitArgPrefixes[WebOptions] = field(default_factory=WebOptions)
 
     @property
     def kind(self) -> str:
         """The format to write."""
         suffix = self.output.suffix.lower() if self.output is not None else ""
-        named = SUFFIXES.get(suffix, "ply")
-        return self.format or (named if named in SPLAT_FORMATS else "ply")
+        named = WEB if suffix in PAGE_SUFFIXES else SUFFIXES.get(suffix, "ply")
+        return self.format or (named if named in (*SPLAT_FORMATS, WEB) else "ply")
 
     @property
     def poses(self) -> int:
@@ -87,8 +95,8 @@ def _description() -> str:
     return (
         f"{Arguments.__doc__}\n\nFormats of a capture: {layouts}.\n"
         f"Of rendered frames: {SUBMISSION} (NeRSemble's benchmark).\n"
-        "Examples: ggavatar-export runs/me --format spz, ggavatar-export face.sog -o face.glb, "
-        "ggavatar-export data/me --format vhap"
+        "Examples: ggavatar-export runs/me -o me.html, ggavatar-export runs/me --format spz, "
+        "ggavatar-export face.sog -o face.glb, ggavatar-export data/me --format vhap"
     )
 
 
@@ -100,6 +108,8 @@ def _export(arguments: Arguments) -> int:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
     _check_suffix(arguments)
+    if arguments.web != WebOptions() and kind != WEB:
+        raise InputError(f"--format {kind}: options of web pages belong to --format {WEB}; leave them out")
     exporter = _exporter(arguments)
     if arguments.capture is not None and exporter is not _export_run:
         raise InputError(f"{arguments.source}: --capture belongs to a run, found another source; leave it out")
@@ -121,6 +131,8 @@ def _exporter(arguments: Arguments) -> Callable[[Arguments], list[str]]:
 def _check_suffix(arguments: Arguments) -> None:
     """Refuse a name of --output that says another format than the one written; several poses go into a folder."""
     kind, output = arguments.kind, arguments.output
+    if kind == WEB and output is not None and output.suffix.lower() not in PAGE_SUFFIXES:
+        raise InputError(f"-o {output}: expected a file name that ends with .html for --format {WEB}")
     if kind not in SPLAT_FORMATS or output is None or not output.suffix or len(arguments.frame) > 1:
         return
     meant = SUFFIXES.get(output.suffix.lower())
@@ -207,6 +219,8 @@ def _export_run(arguments: Arguments) -> list[str]:
 
     device = resolve_device(arguments.device)
     run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
+    if arguments.kind == WEB:
+        return _export_page(arguments, run)
     head = load_head(run.capture.head_path).to(device, torch.float32)
     if arguments.drive is not None:
         drives = file_drives(arguments.drive, run, head)
@@ -224,6 +238,22 @@ def _export_run(arguments: Arguments) -> list[str]:
     changed = [change] if (change := change_since_training(run)) else []
     notes = [f"note: {note}" for note in (*changed, *result.notes, *_renderer_notes(run.method))]
     return [f"wrote {result.path} ({_size_text(len(drives), result.gaussians)})", *notes, f"next: {following}"]
+
+
+def _export_page(arguments: Arguments, run: Run) -> list[str]:
+    """Write the page of a run."""
+    from ggavatar.formats.web.export import export_web
+    from ggavatar.formats.web.performances import performance_clip
+
+    if arguments.frame or arguments.neutral:
+        raise InputError(f"--format {WEB} shows all poses; leave out --frame and --neutral")
+    clips = [] if arguments.drive is None else [performance_clip(run, arguments.drive)]
+    path = arguments.output or arguments.source / "exports" / "avatar.html"
+    written = export_web(run, arguments.web, path, arguments.overwrite, clips)
+    against = "" if written.psnr is None else f", {written.psnr:.1f} dB against the run"
+    size = f"{written.bytes / 1e6:.2f} MB, {written.gaussians} of {written.before} Gaussians{against}"
+    notes = [f"note: {note}" for note in written.notes]
+    return [f"wrote {written.path} ({size})", *notes, "next: open it in a browser; it needs no network and no server"]
 
 
 def _renderer_notes(method: str) -> list[str]:

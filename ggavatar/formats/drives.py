@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,17 +63,22 @@ def file_drives(path: Path, run: Run, head: HeadModel) -> list[NamedDrive]:
             "tracked with the head of the run"
         )
     drives = read_flame_parameters(path).drives(head) if flame else _read_drives(path, head)
-    view = _mean_training_view(run, head)
+    trained = [run.reader.drive(number) for number in run.split.train]
+    view = mean_training_view(head, HeadPoses.of(head, trained), trained)
     return [
         NamedDrive(f"{row:06d}", dataclasses.replace(drive, head_to_camera=view @ drive.head_to_camera))
         for row, drive in enumerate(drives)
     ]
 
 
-def _mean_training_view(run: Run, head: HeadModel) -> Float[Tensor, "4 4"]:
-    """World-to-camera transform that shows a head at rest in a pose that the method has been trained on."""
-    drives = [run.reader.drive(number) for number in run.split.train]
-    poses = HeadPoses.of(head, drives)
+def mean_training_view(head: HeadModel, poses: HeadPoses, drives: Sequence[Drive]) -> Float[Tensor, "4 4"]:
+    """World-to-camera transform that shows a head at rest in a pose that a method was trained on.
+
+    Args:
+        head: The head model.
+        poses: Of the training frames.
+        drives: Those of the training frames.
+    """
     if poses.in_camera or not drives:
         return poses.reference
     return drives[0].head_to_camera @ invert_rigid(head_pose(head, drives[0].joint_rotations, drives[0].translation))

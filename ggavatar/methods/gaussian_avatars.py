@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.binding import bind
+from ggavatar.gaussians.bound_parts import BoundParts, bound_columns
 from ggavatar.gaussians.density_control import DensityControl, accumulate, scaled_schedule
 from ggavatar.gaussians.initialization import BoundRates, bound_rows
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
@@ -259,6 +260,17 @@ class GaussianAvatars(nn.Module):
     def notes(self) -> dict[str, str]:
         """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
+
+    def bound_parts(self) -> BoundParts:
+        """The avatar as arrays, without the corrections of training frames."""
+        return BoundParts(
+            self.head,
+            self.poses,
+            **bound_columns(self.rows, self._sh_degree()),
+            follows_face=True,
+            holds_torso=self.config.pose_on == "neck",
+            adjuster=None,
+        )
 
     def _local_frames(self, drive: Drive) -> TriangleFrames:
         """Triangle frames of the tracked head; for a training frame, gradients flow into its corrections."""

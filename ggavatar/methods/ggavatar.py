@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.binding import WorldGeometry, bind
+from ggavatar.gaussians.bound_parts import AdjusterParts, BoundParts, bound_columns
 from ggavatar.gaussians.density_control import DensityControl, accumulate, scaled_schedule
 from ggavatar.gaussians.initial_colors import SH_C0
 from ggavatar.gaussians.initialization import BoundRates, bound_rows
@@ -267,6 +268,32 @@ class GGAvatar(nn.Module):
     def notes(self) -> dict[str, str]:
         """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
+
+    @torch.no_grad()
+    def bound_parts(self) -> BoundParts:
+        """The avatar as arrays; in the neutral phase, without expression and adjuster."""
+        return BoundParts(
+            self.head,
+            self.poses,
+            **bound_columns(self.rows, self._sh_degree()),
+            follows_face=self.config.skinning and not self.is_neutral,
+            holds_torso=self.config.pose_on == "neck",
+            adjuster=self._adjuster_parts(),
+        )
+
+    def _adjuster_parts(self) -> AdjusterParts | None:
+        if self.adjuster is None or self.is_neutral:
+            return None
+        adjuster, config = self.adjuster, self.config
+        return AdjusterParts(
+            hidden=adjuster.cache(self._neutral_positions()),
+            last_weight=adjuster.last_weight.detach(),
+            last_bias=adjuster.last_bias.detach(),
+            latent_layers=adjuster.latent_layers(),
+            unit=config.offset_unit,
+            color_unit=config.color_unit,
+            sees_pose=config.condition == "face_and_pose",
+        )
 
     @torch.no_grad()
     def _local_frames(self, drive: Drive) -> TriangleFrames:

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
+from ggavatar.gaussians.bound_parts import BoundParts
 from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import Box
 from ggavatar.losses.vgg import FeatureChoice
@@ -123,6 +124,10 @@ class GGAvatarPlus(nn.Module):
     def notes(self) -> dict[str, str]:
         """Notes for provenance.json: the features of the perceptual loss."""
         return self.avatar.notes()
+
+    def bound_parts(self) -> BoundParts:
+        """The avatar as arrays."""
+        return self.avatar.bound_parts()
 
 
 def paper_config(config: Config) -> ggavatar.Config:

@@ -80,6 +80,14 @@ class BasisAdjuster(nn.Module):
         """The latent vector f (Eq. 10)."""
         return self.latent_network(condition)
 
+    def latent_layers(self) -> tuple[tuple[Tensor, Tensor], ...]:
+        """Weight and bias of every layer of the latent network; ReLU lies between them."""
+        return tuple(
+            (layer.weight.detach(), layer.bias.detach())
+            for layer in self.latent_network
+            if isinstance(layer, nn.Linear)
+        )
+
     def hidden(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
         """The last hidden layer h of the basis network; independent of the condition."""
         return relu(self.second(relu(self.first(self.field(x)))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import shutil
@@ -12,7 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""WebGL without a graphics card."""
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
+NETWORK_REQUEST = "Network.requestWillBeSent"
+KEY_CODES = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "Enter": 13, "Tab": 9}
 READ_END, WRITE_END = 3, 4
 """File descriptors from which Chromium reads and to which it writes."""
 
@@ -25,16 +30,20 @@ def chromium() -> str | None:
 
 
 class Page:
-    """An open page: evaluates expressions, drags the mouse, and records requests and exceptions."""
+    """An open page: evaluates expressions, plays mouse, keys and files, records requests, messages and exceptions."""
 
-    def __init__(self, out: int, back: int, address: str) -> None:
+    def __init__(self, out: int, back: int, address: str, width: int, height: int) -> None:
         self._out, self._back, self._buffer, self._count = out, back, b"", 0
         self.events: list[dict[str, Any]] = []
         self._session = ""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Network"):
+        for domain in ("Page", "Runtime", "Network", "Log", "DOM"):
             self.call(f"{domain}.enable")
+        self.call(
+            "Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=-1, uploadThroughput=-1
+        )
+        self.resize(width, height)
         self.call("Page.navigate", url=address)
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.events.append(self._message())
@@ -59,8 +68,52 @@ class Page:
         return json.loads(message)
 
     def value(self, expression: str) -> Any:
-        """Value of an expression in the page."""
-        return self.call("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+        """Value of an expression in the page, or what it resolves to."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def requests(self) -> list[str]:
+        """Addresses of everything that was asked for."""
+        return [event["params"]["request"]["url"] for event in self.events if event["method"] == NETWORK_REQUEST]
+
+    def messages(self) -> list[str]:
+        """Exceptions, messages of the console, and what the browser complains about."""
+        self.value("0")  # events that are under way arrive before the answer
+        found = []
+        for event in self.events:
+            parameters = event["params"]
+            if event["method"] == "Runtime.exceptionThrown":
+                found.append(str(parameters["exceptionDetails"]))
+            elif event["method"] == "Runtime.consoleAPICalled":
+                found.append(" ".join(str(one.get("value", one.get("description"))) for one in parameters["args"]))
+            elif event["method"] == "Log.entryAdded":
+                found.append(parameters["entry"]["text"])
+        return found
+
+    def resize(self, width: int, height: int, scheme: str = "light") -> None:
+        """Show the page in a window of this size in px, in light or dark colors."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
+        )
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def screenshot(self, path: Path) -> None:
+        """Write what is seen as PNG."""
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+
+    def press(self, key: str, times: int = 1) -> None:
+        """Press a key that is not a letter, such as ArrowRight, on the element with the focus."""
+        code = KEY_CODES[key]
+        for _ in range(times):
+            for kind in ("rawKeyDown", "keyUp"):
+                self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def choose_file(self, selector: str, path: Path) -> None:
+        """Choose a file in an `<input type=file>`."""
+        root = self.call("DOM.getDocument")["root"]["nodeId"]
+        node = self.call("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
+        self.call("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
 
     def drag(self, selector: str, start: float, end: float) -> None:
         """Drag the mouse over an element, from and to a fraction of its width."""
@@ -74,8 +127,10 @@ class Page:
 
 
 @contextmanager
-def opened(browser: str, page: Path, profile: Path) -> Iterator[Page]:
-    """Open a local page in a separate browser, which ends with the block."""
+def opened(
+    browser: str, page: Path, profile: Path, query: str = "", size: tuple[int, int] = (1100, 800)
+) -> Iterator[Page]:
+    """Open a local page in a separate browser without network, which ends with the block."""
     import fcntl  # POSIX only
 
     (child_in, out), (back, child_out) = os.pipe(), os.pipe()
@@ -86,12 +141,12 @@ def opened(browser: str, page: Path, profile: Path) -> Iterator[Page]:
         os.dup2(ends[0], READ_END)
         os.dup2(ends[1], WRITE_END)
 
-    command = [browser, *FLAGS, "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"]
+    command = [browser, *FLAGS, *SOFTWARE_GL, "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"]
     process = subprocess.Popen(command, preexec_fn=connect, close_fds=False, stderr=subprocess.DEVNULL)
     os.close(child_in)
     os.close(child_out)
     try:
-        yield Page(out, back, page.as_uri())
+        yield Page(out, back, page.as_uri() + query, *size)
     finally:
         process.terminate()
         process.wait(30)

@@ -92,6 +92,20 @@ def test_the_page_refers_to_nothing_outside_itself(tmp_path: Path) -> None:
     assert not re.search(r"\{\{|\{%|\{#", text), "the template is filled in"
 
 
+def test_the_page_links_the_avatar_where_it_was_exported(tmp_path: Path) -> None:
+    report = tmp_path / "run" / "eval" / "folders" / "report.html"
+    report.parent.mkdir(parents=True)
+    one = evaluated(tmp_path, "ours", 3)
+    write_report(report, [one])
+    assert parsed(report).references == []
+    avatar = tmp_path / "run" / "exports" / "avatar.html"
+    avatar.parent.mkdir()
+    avatar.write_text("page")
+    write_report(report, [one])
+    [address] = parsed(report).references
+    assert (report.parent / address).resolve() == avatar.resolve()
+
+
 def test_the_page_holds_numbers_images_and_protocol(tmp_path: Path) -> None:
     one = evaluated(tmp_path, "ours", 3)
     write_report(tmp_path / "report.html", [one, evaluated(tmp_path, "theirs", 5)])

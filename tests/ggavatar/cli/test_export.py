@@ -130,6 +130,24 @@ def test_existing_files_are_replaced_only_on_request(
     assert not list(tmp_path.glob(".*")), "nothing half-written is left"
 
 
+def test_a_page_of_a_run(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "avatar.html"
+    assert export(run_folder, "-o", path, "--prune", "0") == 0
+    shown = capsys.readouterr().out
+    assert f"wrote {path} (" in shown and "dB against the run" in shown and "next: open it in a browser" in shown
+    assert path.read_text().startswith("<!doctype html>")
+    refused = {
+        ("--format", "web", "-o", tmp_path / "a.ply"): "ends with .html",
+        ("--format", "web", "--neutral", "-o", tmp_path / "a.html"): "--frame and --neutral",
+        ("--format", "ply", "--clip", "all", "-o", tmp_path / "a.ply"): "--format web",
+        ("--format", "web", "--clip", "tests", "-o", tmp_path / "a.html"): "did you mean test?",
+        ("-o", path): "--overwrite",
+    }
+    for flags, reason in refused.items():
+        assert export(run_folder, *flags) == 2 and reason in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_failure_leaves_nothing(run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
