@@ -22,7 +22,7 @@ SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
 
-.PHONY: demo table test mutations faults lint format bench clean-demo
+.PHONY: demo table test coverage mutations faults lint format bench clean-demo
 
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
@@ -45,6 +45,9 @@ $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto $(TEST_FLAGS)
+
+coverage: $(VENV)/installed-dev
+	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-fail-under=90 $(TEST_FLAGS)
 
 mutations: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutations $(MUTATION_FLAGS)
