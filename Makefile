@@ -27,7 +27,7 @@ RUN := $(DEMO)/run
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
 	@test -f $(CAPTURE)/preview.jpg || $(BIN)/ggavatar-prep $(SUBJECT)/video.mp4 --tracking $(SUBJECT)/tracking --masks $(SUBJECT)/masks \
-		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) --resume -o $(CAPTURE)
+		--head-model $(SUBJECT)/head.npz --subject subject-$(DEMO_ID) --size $(DEMO_SIZE) $$(test -e $(CAPTURE)/capture.json && echo --resume) -o $(CAPTURE)
 	@$(BIN)/ggavatar-train $(CAPTURE) $(DEMO_METHOD) --steps $(DEMO_STEPS) $$(test -e $(RUN) && echo --resume) -o $(RUN)
 	@$(BIN)/ggavatar-export $(RUN) --clip all --overwrite -o $(RUN)/exports/avatar.html
 	@$(BIN)/ggavatar-eval $(RUN) --table $(DEMO_EVAL)
@@ -41,7 +41,8 @@ $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 	@test -f $(TABLE)/subjects/$*/README.txt || $(BIN)/ggavatar-demo --id $* --frames $(TABLE_FRAMES) --size $(TABLE_SIZE) \
 		--overwrite -o $(TABLE)/subjects/$*
 	@$(BIN)/ggavatar-prep $(TABLE)/subjects/$*/video.mp4 --tracking $(TABLE)/subjects/$*/tracking --masks $(TABLE)/subjects/$*/masks \
-		--head-model $(TABLE)/subjects/$*/head.npz --subject subject-$* --size $(TABLE_SIZE) --resume -o $(TABLE)/captures/subject-$*
+		--head-model $(TABLE)/subjects/$*/head.npz --subject subject-$* --size $(TABLE_SIZE) $$(test -e $(TABLE)/captures/subject-$*/capture.json && echo --resume) \
+		-o $(TABLE)/captures/subject-$*
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto $(TEST_FLAGS)
