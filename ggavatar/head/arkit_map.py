@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 from ggavatar.head.axis_names import axis_names
 from ggavatar.head.expression_axes import TRACKED_AXES
 from ggavatar.head.model import HeadModel
+from ggavatar.head.procedural.blendshapes import BLENDSHAPES
 
 JAW_OPEN, JAW_SIDEWAYS, JAW_CLOSING = 0.45, 0.12, 0.25
 """Rotation of the jaw at a score of 1, rad."""
@@ -37,32 +38,11 @@ class Target(NamedTuple):
     factor: float
 
 
-_PROCEDURAL_SIDED = {
-    "browDown": "brow_down", "browOuterUp": "brow_outer_up", "cheekSquint": "cheek_squint", "eyeSquint": "eye_squint",
-    "eyeWide": "eye_wide", "mouthDimple": "dimple", "mouthFrown": "frown", "mouth": "mouth_shift",
-    "mouthLowerDown": "lower_lip_depress", "mouthSmile": "smile", "mouthStretch": "stretch",
-    "mouthUpperUp": "upper_lip_raise", "noseSneer": "nose_wrinkle",
-}  # fmt: skip
-_PROCEDURAL = {
-    "browInnerUp": (("brow_inner_up", 1.0),),
-    "cheekPuff": (("cheek_puff_left", 1.0), ("cheek_puff_right", 1.0)),
-    "mouthFunnel": (("funnel", 1.0),),
-    "mouthPressLeft": (("lips_press", 0.5),),
-    "mouthPressRight": (("lips_press", 0.5),),
-    "mouthPucker": (("pucker", 1.0),),
-    "mouthRollLower": (("lower_roll_in", 1.0),),
-    "mouthRollUpper": (("upper_roll_in", 1.0),),
-    "mouthShrugLower": (("chin_raise", 1.0),),
-    "mouthShrugUpper": (("upper_lip_forward", 1.0),),
-    "tongueOut": (("tongue_out", 1.0),),
-}
-
-
 def arkit_map(head: HeadModel) -> dict[str, tuple[Target, ...]]:
     """What each of the 52 moves; names without a counterpart are left out, and heads without named axes give none."""
     names = axis_names(head)
     if head.version.startswith("procedural-"):
-        axes = dict(_procedural_axes())
+        axes = BLENDSHAPES
         closing = True
     elif head.version.startswith("tracked-"):
         axes = {name: ((name, 1.0),) for name in TRACKED_AXES}
@@ -72,14 +52,6 @@ def arkit_map(head: HeadModel) -> dict[str, tuple[Target, ...]]:
     else:
         return {}
     return _moved(axes, names) | _joints_and_lids(head, closing)
-
-
-def _procedural_axes() -> Iterable[tuple[str, tuple[tuple[str, float], ...]]]:
-    """The procedural head's expressions of each name."""
-    yield from _PROCEDURAL.items()
-    for stem, own in _PROCEDURAL_SIDED.items():
-        for suffix, side, _, _ in SIDES:
-            yield stem + suffix, ((f"{own}_{side}", 1.0),)
 
 
 def _ict_axes(names: Iterable[str]) -> dict[str, tuple[tuple[str, float], ...]]:

@@ -6,6 +6,8 @@ and the length of the neck. Only axes of the same name can be carried from one h
 
 from __future__ import annotations
 
+from ggavatar.head.ict import EXPRESSIONS as ICT_AXES
+from ggavatar.head.procedural.expression import expression_names
 from ggavatar.landmarks.blendshapes import NAMES
 
 JOINT_SCORES = ("neutral", "jawForward", "jawLeft", "jawOpen", "jawRight", "eyeBlinkLeft", "eyeBlinkRight")
@@ -25,8 +27,14 @@ def tracked_names(personal: int) -> tuple[str, ...]:
 
 def names_without_file(version: str, count: int) -> tuple[str, ...]:
     """Names of the coefficients of a head file that does not hold any; empty if they are not known."""
-    personal = count - len(TRACKED_AXES) - 1
-    return tracked_names(personal) if version == "tracked-2" and personal >= 0 else ()
+    known: tuple[str, ...] = ()
+    if version == "tracked-2":
+        known = tracked_names(max(count - len(TRACKED_AXES) - 1, 0))
+    elif version.startswith("procedural-"):
+        known = expression_names()
+    elif version.startswith("ict-facekit-"):
+        known = ICT_AXES
+    return known if len(known) == count else ()
 
 
 def is_shared(name: str) -> bool:
