@@ -14,7 +14,7 @@ from jaxtyping import Float
 from evaluate.motion.driving_sequence import DrivingSequence
 from evaluate.motion.facial_codes import FacialLayout, facial_codes, facial_layout
 from evaluate.motion.neutral import neutral_row
-from evaluate.motion.score_map import ScoreMap, fit_score_map, score_logits
+from evaluate.motion.score_map import ScoreMap, certainty, fit_score_map, score_logits
 from ggavatar.landmarks.blendshapes import NAMES
 
 SCORES = NAMES[1:]
@@ -68,7 +68,7 @@ def face_of(sequence: DrivingSequence, rest_row: int | None = None) -> Face:
     """The face of a sequence.
 
     Args:
-        sequence: At least two frames; frames whose scores are NaN are not learned from.
+        sequence: Frames whose scores are NaN are not learned from; scores are known in two or more, or in none.
         rest_row: A frame that shows the face at rest; by default rest is computed.
     """
     layout = facial_layout(sequence)
@@ -120,15 +120,15 @@ def conditioned(
 
 def logit_variance(mapped: ScoreMap, scores: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
     """Variance of the logits of measured scores about those that a map predicts: larger towards 0 and 1, to a limit."""
-    bounded = np.clip(scores, SATURATED, 1 - SATURATED)
-    return mapped.deviation**2 + (SCORE_NOISE / (bounded * (1 - bounded))) ** 2
+    return mapped.deviation**2 + (SCORE_NOISE / certainty(scores, SATURATED)) ** 2
 
 
 def _prior_covariance(codes: Float[np.ndarray, "T K"], layout: FacialLayout) -> Float[np.ndarray, "K K"]:
     spread = np.where(layout.shared, SHARED_SPREAD, OWN_SPREAD)
     spread[layout.columns("joint ")] = JOINT_SPREAD
     spread[layout.columns("lid ")] = LID_SPREAD
-    return WIDENING * np.atleast_2d(np.cov(codes.T)) + np.diag(spread**2)
+    centered = codes - codes.mean(axis=0)
+    return WIDENING * (centered.T @ centered) / max(len(codes) - 1, 1) + np.diag(spread**2)
 
 
 def _scores_at_rest(scores: Float[np.ndarray, "T S"]) -> Float[np.ndarray, " S"]:

@@ -12,10 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, logit
 
+from evaluate.motion.score_agreement import SMALLEST_DEVIATION, agreement
+
 STRENGTHS = (1e-4, 1e-3, 1e-2, 1e-1)
 """Ridge penalties to choose from, per frame and unit variance of a code."""
 FOLDS = 5
-SMALLEST_DEVIATION = 1e-6
 SMALLEST_SCORE = 0.003
 """Scores nearer to 0 or 1 say no more."""
 
@@ -60,19 +61,24 @@ def fit_score_map(
     """
     logits, weights = score_logits(scores), certainty(scores)
     rest = logits - codes @ expected.T
-    best = max(STRENGTHS, key=lambda strength: _held_out_correlation(codes, rest, logits, strength))
+    tried = {strength: _held_out_correlation(codes, rest, logits, strength) for strength in STRENGTHS}
+    best = max(tried, key=tried.__getitem__)
     fit = _Ridge(codes, rest, weights, best)
     residual = rest - fit(codes)
     deviation = np.sqrt((weights * residual**2).sum(axis=0) / weights.sum(axis=0))
     center = codes.mean(axis=0)
     mean = fit(center[None])[0] + expected @ center
-    correlation = _held_out_correlation(codes, rest, logits, best)
-    return ScoreMap(expected + fit.slopes, center, mean, deviation, correlation)
+    return ScoreMap(expected + fit.slopes, center, mean, deviation, tried[best])
 
 
-def certainty(scores: Float[np.ndarray, "*T S"]) -> Float[np.ndarray, "*T S"]:
-    """Weights of logits: the derivative of the sigmoid, since the scores' own noise is the same everywhere."""
-    bounded = np.clip(scores, SMALLEST_SCORE, 1 - SMALLEST_SCORE)
+def certainty(scores: Float[np.ndarray, "*T S"], least: float = SMALLEST_SCORE) -> Float[np.ndarray, "*T S"]:
+    """Weights of logits: the derivative of the sigmoid, since the scores' own noise is the same everywhere.
+
+    Args:
+        scores: In [0, 1].
+        least: Scores nearer to 0 or 1 count like this one.
+    """
+    bounded = np.clip(scores, least, 1 - least)
     return bounded * (1 - bounded)
 
 
@@ -104,13 +110,4 @@ def _held_out_correlation(codes: np.ndarray, rest: np.ndarray, logits: np.ndarra
     for fold in np.unique(folds):
         seen, left = folds != fold, folds == fold
         predicted[left] += _Ridge(codes[seen], rest[seen], weights[seen], strength)(codes[left])
-    return weighted_correlation(expit(logits), expit(predicted))
-
-
-def weighted_correlation(first: Float[np.ndarray, "T S"], second: Float[np.ndarray, "T S"]) -> float:
-    """Mean correlation of the columns of two matrices, weighted by the deviation of the first's columns."""
-    a, b = first - first.mean(axis=0), second - second.mean(axis=0)
-    weights, other = a.std(axis=0), b.std(axis=0)
-    covariance = (a * b).mean(axis=0)
-    correlations = covariance / np.maximum(weights * other, SMALLEST_DEVIATION**2)
-    return float((weights * correlations).sum() / max(weights.sum(), SMALLEST_DEVIATION))
+    return agreement(expit(logits), expit(predicted)).correlation

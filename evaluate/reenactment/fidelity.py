@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-SMALLEST_DEVIATION = 1e-6
+from evaluate.motion.score_agreement import Agreement, agreement
 
 
 @dataclass(frozen=True)
@@ -16,21 +16,12 @@ class Fidelity:
     """How the scores of an avatar follow those of its driver.
 
     Attributes:
-        correlation: Pearson correlation of each score over the frames, averaged with the deviations of the driver's
-            scores as weights; 1 is perfect, 0 unrelated.
-        slope: Slope of the regression of the avatar's score on the driver's, likewise; 1 is the whole expression.
+        agreement: Correlation and slope of the avatar's scores over the driver's; a slope of 1 is the whole expression.
         expression_distance: Mean absolute difference of the scores (AED).
-        correlations: Of each score.
-        slopes: Of each score.
-        weights: Deviation of each of the driver's scores.
     """
 
-    correlation: float
-    slope: float
+    agreement: Agreement
     expression_distance: float
-    correlations: Float[np.ndarray, " S"]
-    slopes: Float[np.ndarray, " S"]
-    weights: Float[np.ndarray, " S"]
 
 
 def score_fidelity(driver: Float[np.ndarray, "T S"], avatar: Float[np.ndarray, "T S"]) -> Fidelity:
@@ -43,20 +34,7 @@ def score_fidelity(driver: Float[np.ndarray, "T S"], avatar: Float[np.ndarray, "
     if known.sum() < 2:
         raise ValueError(f"expected two frames or more with both faces, got {known.sum()}")
     first, second = driver[known], avatar[known]
-    a, b = first - first.mean(axis=0), second - second.mean(axis=0)
-    weights, spread = a.std(axis=0), b.std(axis=0)
-    covariance = (a * b).mean(axis=0)
-    correlations = covariance / np.maximum(weights * spread, SMALLEST_DEVIATION**2)
-    slopes = covariance / np.maximum(weights, SMALLEST_DEVIATION) ** 2
-    shares = weights / max(float(weights.sum()), SMALLEST_DEVIATION)
-    return Fidelity(
-        float((shares * correlations).sum()),
-        float((shares * slopes).sum()),
-        float(np.abs(first - second).mean()),
-        correlations,
-        slopes,
-        weights,
-    )
+    return Fidelity(agreement(first, second), float(np.abs(first - second).mean()))
 
 
 def pose_distance(driver: Float[np.ndarray, "T 3 3"], avatar: Float[np.ndarray, "T 3 3"]) -> float:

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of
+from evaluate.motion.expression_scores import faces_in, scores_of
 from evaluate.motion.retarget import drives_and_cameras
 from evaluate.motion.transfer import TransferOptions
 from evaluate.reenactment.fidelity import Fidelity, head_rotation, landmark_jitter, pose_distance, score_fidelity
@@ -24,7 +25,7 @@ from ggavatar.io.images import read_rgb
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.bundle import canonical_face
 from ggavatar.landmarks.crop_region import LEFT_EYE_OUTER, RIGHT_EYE_OUTER
-from ggavatar.landmarks.tracker import LandmarkTracker
+from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
 
@@ -74,13 +75,14 @@ class Reenactment:
     def as_dict(self) -> dict[str, object]:
         """Plain values for JSON; the fidelity of every score by name."""
         values = {name: value for name, value in vars(self).items() if name != "fidelity"}
-        found = self.fidelity
+        found = self.fidelity.agreement
         columns = zip(NAMES[1:], found.correlations, found.slopes, found.weights, strict=True)
         by_name = {
             name: {"correlation": float(correlation), "slope": float(slope), "driver_deviation": float(weight)}
             for name, correlation, slope, weight in columns
         }
-        means = {name: getattr(found, name) for name in ("correlation", "slope", "expression_distance")}
+        means = {"correlation": found.correlation, "slope": found.slope}
+        means["expression_distance"] = self.fidelity.expression_distance
         return values | means | {"scores": by_name}
 
 
@@ -169,14 +171,15 @@ def render_small(run: Run, sequence: DrivingSequence) -> Iterator[UInt8[np.ndarr
 
 def see_faces(images: Iterable[UInt8[np.ndarray, "H W 3"]], bundle: Path, report: Callable[[int], None]) -> SeenFaces:
     """Landmarks, scores and orientation of the face in every image, each on its own."""
-    tracker, face = LandmarkTracker(bundle), canonical_face(bundle).vertices * [1, -1, -1]
-    scores, points, heads = [], [], []
-    for image in images:
-        tracker.reset()
-        found = tracker.landmarks(image)
-        scores.append(np.full(len(NAMES), np.nan) if found is None else found.blendshapes)
-        points.append(np.full((478, 2), np.nan) if found is None else found.points)
-        spatial = None if found is None else np.column_stack((found.points, found.depth))[: len(face)]
-        heads.append(np.full((3, 3), np.nan) if spatial is None else head_rotation(spatial, face))
-        report(len(scores))
-    return SeenFaces(np.array(scores, np.float64), np.array(points, np.float64), np.array(heads))
+    canonical = canonical_face(bundle).vertices * [1, -1, -1]
+    faces = []
+    for face in faces_in(images, LandmarkTracker(bundle)):
+        faces.append(face)
+        report(len(faces))
+    points = [np.full((478, 2), np.nan) if face is None else face.points for face in faces]
+    heads = [np.full((3, 3), np.nan) if face is None else _orientation(face, canonical) for face in faces]
+    return SeenFaces(scores_of(faces), np.array(points, np.float64), np.array(heads))
+
+
+def _orientation(face: Landmarks, canonical: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "3 3"]:
+    return head_rotation(np.column_stack((face.points, face.depth))[: len(canonical)], canonical)

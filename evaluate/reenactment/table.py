@@ -57,8 +57,8 @@ def _label(one: Reenactment) -> str:
 
 
 def _values(one: Reenactment) -> list[float | None]:
-    found = one.fidelity
-    measures = [found.correlation, found.slope, found.expression_distance, one.pose_distance]
+    found = one.fidelity.agreement
+    measures = [found.correlation, found.slope, one.fidelity.expression_distance, one.pose_distance]
     return [*measures, one.jitter, one.driver_jitter, float(one.frames), float(one.lost)]
 
 

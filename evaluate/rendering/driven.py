@@ -17,6 +17,11 @@ from ggavatar.errors import InputError
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
 
+UNMEASURED = (
+    "the faces of driver and avatar were not both measured (the landmark network is not here, no face was found, or "
+    "the driver is a file of parameters): only expression axes that both heads have are carried over"
+)
+
 
 @dataclass(frozen=True)
 class Performance:
@@ -25,10 +30,12 @@ class Performance:
     Attributes:
         driver: As read, with expression scores where they could be measured.
         moved: In the avatar's codes, seen by its camera; one row for each of the driver's.
+        note: What could not be carried over as asked, in words; empty if all was.
     """
 
     driver: DrivingSequence
     moved: DrivingSequence
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,8 @@ def perform(
             driver = with_scores(driver, Capture.open(source), finder)
         if driver.scores is not None:
             seen = with_scores(seen, run.capture, finder)
-        return Performance(driver, match_performance(driver, rows, seen, goal, how))
+        note = "" if driver.scores is not None and seen.scores is not None else UNMEASURED
+        return Performance(driver, match_performance(driver, rows, seen, goal, how), note)
     fitted = match_basis(driver, target, force)
     rows, goal = _neutral(fitted, rows), _neutral(seen, goal)
     return Performance(driver, transfer_performance(fitted, rows, seen, goal, how))

@@ -167,6 +167,8 @@ def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     rest = Rest(options.neutral, options.target_neutral)
     performance = perform(run, source, how, rest, ModelFinder(), options.force_basis)
     driver, moved = performance.driver, performance.moved
+    if performance.note:
+        write_err(f"note: {performance.note}")
     views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
 
     def write_figure(output: Output) -> Path:

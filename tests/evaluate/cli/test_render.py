@@ -91,6 +91,7 @@ def test_parameters_drive_and_other_bases_do_not(
     motion = np.linspace(0, 1, 5)[:, None] * [1.0, 0, 0]
     np.savez(tmp_path / "params.npz", expression=motion, version="toy-1")
     assert render(monkeypatch, run, "--drive", tmp_path / "params.npz", "--no-video", "--frames", "0:4") == 0
+    assert "only expression axes that both heads have" in capsys.readouterr().err
     assert len(names(run.folder / "renders" / "drive-params" / "frames")) == 4
     part = ["--frames", "1:5:2", "-o", tmp_path / "part"]
     assert render(monkeypatch, run, "--drive", tmp_path / "params.npz", "--no-video", *part) == 0

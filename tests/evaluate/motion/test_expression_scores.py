@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluate.motion import expression_scores
 from evaluate.motion.driving_sequence import driving_sequence_of
-from evaluate.motion.expression_scores import image_scores, with_scores
+from evaluate.motion.expression_scores import faces_in, scores_of, with_scores
 from ggavatar.landmarks.blendshapes import BlendshapeNetwork
 from ggavatar.landmarks.tracker import LandmarkTracker
 from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable
@@ -63,7 +62,16 @@ def test_images_are_looked_at_one_by_one() -> None:
         def landmarks(self, frame: np.ndarray) -> None:
             self.calls.append("look")
 
-    tracker, done = Tracker(), []
-    found = image_scores(iter([np.zeros((8, 8, 3), np.uint8)] * 2), tracker, done.append)
-    assert tracker.calls == ["reset", "look"] * 2 and done == [1, 2] and np.isnan(found).all()
-    assert expression_scores.LANDMARKS == 478
+    tracker = Tracker()
+    found = scores_of(faces_in(iter([np.zeros((8, 8, 3), np.uint8)] * 2), tracker))
+    assert tracker.calls == ["reset", "look"] * 2 and found.shape == (2, 52) and np.isnan(found).all()
+
+
+def test_one_face_is_not_enough_to_learn_from(tmp_path: Path, pretrained: Callable[[str], Path]) -> None:
+    bundle = pretrained("face_landmarker")
+    capture = write_capture(tmp_path / "capture")
+    points = np.full((COUNT, 478, 2), np.nan, np.float32)
+    points[2] = np.random.default_rng(0).uniform(0, 20, (478, 2))
+    capture = dataclasses.replace(capture, tracking=dataclasses.replace(capture.tracking, landmarks=points))
+    finder = ModelFinder(bundle.parent, offline=True)
+    assert with_scores(driving_sequence_of(capture), capture, finder).scores is None

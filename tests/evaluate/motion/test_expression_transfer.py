@@ -10,8 +10,8 @@ import pytest
 from evaluate.motion.expression_transfer import carry_over
 from evaluate.motion.face import SCORES, face_of
 from evaluate.motion.facial_codes import with_facial_codes
+from evaluate.motion.score_agreement import agreement
 from evaluate.motion.transfer import TransferOptions, match_performance
-from evaluate.reenactment.fidelity import score_fidelity
 from ggavatar.errors import InputError
 from tests.support.performances import motion, person
 
@@ -29,7 +29,7 @@ def followed(driver, target, codes) -> tuple[float, float]:
     """Correlation and slope of the scores that arrive, over the scores of named axes."""
     shown = [SCORES.index(name) for name in NAMED]
     arrived = target.scores(codes[:, : len(target.axis_names)])[:, 1:]
-    found = score_fidelity(driver.scores[:, 1:][:, shown], arrived[:, shown])
+    found = agreement(driver.scores[:, 1:][:, shown], arrived[:, shown])
     return found.correlation, found.slope
 
 
@@ -94,7 +94,7 @@ def test_a_recording_of_scores_drives_a_face() -> None:
     assert moved.cameras is not None and np.ptp(moved.cameras.world_to_camera, axis=0).max() == 0
 
 
-def test_the_performance_moves_body_and_face(tmp_path) -> None:
+def test_the_performance_moves_body_and_face() -> None:
     """Wiring of `match_performance`: the head turns as the driver's, the face is that of `carry_over`."""
     anna, ben = person(1, NAMED, 1), person(2, NAMED, 1)
     driver = dataclasses.replace(anna.perform(moving(1, 100, 7)), cameras=motion(1, 100).cameras)

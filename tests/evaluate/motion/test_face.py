@@ -81,3 +81,11 @@ def test_very_short_clips_have_a_face(count: int) -> None:
     anna = person(1, NAMED, 1)
     face = face_of(anna.perform(np.random.default_rng(0).uniform(0, 1, (count, 5))))
     assert np.isfinite(face.rest).all() and np.isfinite(face.covariance).all()
+
+
+def test_a_single_frame_without_scores_has_a_face() -> None:
+    anna = person(1, NAMED, 1)
+    still = dataclasses.replace(anna.perform(np.random.default_rng(0).uniform(0, 1, (1, 5))), scores=None)
+    face = face_of(still)
+    np.testing.assert_array_equal(face.rest[:5], still.expression[0])
+    assert np.isfinite(face.covariance).all()

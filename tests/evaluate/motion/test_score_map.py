@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import expit
 
-from evaluate.motion.score_map import certainty, fit_score_map, score_logits, weighted_correlation
+from evaluate.motion.score_map import certainty, fit_score_map, score_logits
 
 RANDOM = np.random.default_rng(3)
 SLOPES = RANDOM.normal(0, 2, (6, 4))
@@ -47,11 +47,3 @@ def test_logits_are_bounded_and_trusted_least_where_scores_saturate() -> None:
     assert np.isfinite(score_logits(np.array([0.0, 0.5, 1.0]))).all() and score_logits(np.array([0.5]))[0] == 0
     np.testing.assert_allclose(certainty(np.array([0.5, 0.9])), [0.25, 0.09])
     assert certainty(np.array([0.0]))[0] < 0.005
-
-
-def test_correlation_is_weighted_by_the_first() -> None:
-    time = np.arange(50.0)
-    first = np.stack((np.sin(time), 0.01 * np.cos(time)), axis=1)
-    second = np.stack((np.sin(time), -np.cos(time)), axis=1)
-    np.testing.assert_allclose(weighted_correlation(first, second), (1 - 0.01) / 1.01, atol=2e-3)
-    assert weighted_correlation(first, first) > 0.9999
