@@ -130,7 +130,7 @@ class _Checks:
         return np.ascontiguousarray(value, np.float32)
 
     def rows(self, key: str, count: int) -> Int[ndarray, "..."]:
-        """Indices in [0, count)."""
+        """Indices of at least 0 and below `count`."""
         value = self._arrays[key]
         self._require(value.dtype.kind in "iu", key, "integers")
         self._require(

@@ -41,6 +41,7 @@ class _BlockwiseSurface(torch.autograd.Function):
     def forward(
         ctx: Any, hidden_type: torch.dtype, x: Tensor, config: CanonicalConfig, *parameters: Tensor
     ) -> tuple[Tensor, Tensor]:
+        """Distance with raw albedo, and the distance's gradient, at every position, block by block."""
         values, gradient = x.new_empty(len(x), 4), torch.empty_like(x)
         keep = any(ctx.needs_input_grad)
         parameters = tuple(parameter.to(hidden_type) for parameter in parameters)
@@ -55,6 +56,7 @@ class _BlockwiseSurface(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, to_values: Tensor, to_gradient: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the parameters alone: positions are constants, and those that nothing depends on are skipped."""
         x, *parameters = ctx.saved_tensors
         found = [torch.zeros_like(parameter, dtype=x.dtype) for parameter in parameters]
         matters = (to_values != 0).any(1) | (to_gradient != 0).any(1)

@@ -82,6 +82,7 @@ class _Rasterize(torch.autograd.Function):
     def forward(
         ctx: Any, constants: ViewConstants, means2d: Tensor, pose: Tensor, background: Tensor, *inputs: Tensor
     ) -> tuple[Tensor, ...]:
+        """Project, sort into tiles and blend; an input that is not finite is looked for only where a result is not."""
         view, cloud = view_array(constants, pose, background), _cloud(inputs, constants.degree)
         radii = padded(len(means2d))
         if not np.isfinite(view).all():
@@ -103,6 +104,7 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Gradients of projected centers, camera pose, background and Gaussians, from those of image, alpha and depth."""
         pose, *inputs, image, transmittance, depth = ctx.saved_tensors
         upstream = [
             whole_tiles(gradient, like) for gradient, like in zip(incoming, (image, transmittance, depth), strict=False)

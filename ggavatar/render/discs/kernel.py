@@ -63,7 +63,7 @@ def drawing_pointers(drawing):
 
 @inlined
 def pixel_span(center, half, size):
-    """Range (last one exclusive) of the pixels in [0, size) whose centers lie within `half` of `center`, px."""
+    """Range (last one exclusive) of the pixels of `size` whose centers lie within `half` of `center`, px."""
     low, high = ceil(center - half - HALF), floor(center + half - HALF)
     return max(np.int64(low), 0), min(np.int64(high) + 1, size)
 
