@@ -104,7 +104,7 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *incoming: Tensor | None) -> tuple[Tensor | None, ...]:
-        """Gradients of projected centers, camera pose, background and Gaussians, from those of image, alpha and depth."""
+        """Gradients of projected centers, camera pose, background and Gaussians, given those of the outputs."""
         pose, *inputs, image, transmittance, depth = ctx.saved_tensors
         upstream = [
             whole_tiles(gradient, like) for gradient, like in zip(incoming, (image, transmittance, depth), strict=False)
