@@ -38,6 +38,9 @@ from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
 
 SCHEMA, VERSION = "ggavatar-run", 1
+BESIDE_THE_CONFIGURATION = ("schema", "version", "capture_relative", "settings")
+"""Entries of config.json that are no fields of `RunConfig`; runs of earlier builds hold `settings`, which can be
+worked out (`changed_settings.py`)."""
 SAMPLE_COUNT, SAMPLE_SIDE = 16, 256
 """Training frames that a method sees before the first step, and the length of their shorter side, px."""
 
@@ -294,7 +297,7 @@ def read_config(folder: Path) -> RunConfig:
         raise InputError(
             f"{path}: expected schema {SCHEMA} version {VERSION}, found {values.get('schema')} {values.get('version')}"
         )
-    own = {name: value for name, value in values.items() if name not in ("schema", "version", "capture_relative")}
+    own = {name: value for name, value in values.items() if name not in BESIDE_THE_CONFIGURATION}
     missing = [f.name for f in dataclasses.fields(RunConfig) if f.default is f.default_factory and f.name not in own]
     if missing:
         raise InputError(f"{path}: expected the fields {', '.join(missing)}, found none; the file is damaged")

@@ -65,6 +65,13 @@ def test_run_finds_a_capture_that_moved_along(copy: Path) -> None:
     assert open_run(copy).capture.folder.resolve() == (copy.parent / "capture").resolve()
 
 
+def test_a_run_of_an_earlier_build_opens(copy: Path) -> None:
+    """They hold the settings of the command line, and no digest of the file."""
+    config = read_json(copy / "config.json")
+    (copy / "config.json").write_text(json.dumps({**config, "settings": ["latent=3"]}))
+    assert open_run(copy).config == read_config(copy) and read_config(copy).method == "ggavatar"
+
+
 def test_lost_capture_is_named_and_can_be_given(copy: Path) -> None:
     config = read_json(copy / "config.json")
     (copy / "config.json").write_text(json.dumps({**config, "capture": "/nowhere/else"}))
