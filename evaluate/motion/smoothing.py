@@ -55,7 +55,7 @@ def savgol(values: Float[np.ndarray, "T D"], window: int = 5, order: int = 2) ->
 
 def smoothed(values: Float[np.ndarray, "T D"], method: str, fps: float) -> Float[np.ndarray, "T D"]:
     """Values filtered by one of `METHODS`; `ValueError` for any other name."""
-    if method == "none":
+    if method == "none" or not values.shape[1]:
         return values
     if method == "one-euro":
         return one_euro(values, fps)

@@ -88,7 +88,9 @@ def test_a_recording_of_scores_drives_a_face() -> None:
         motion(0, 120), expression=np.zeros((120, 0)), joint_rotations=np.zeros((120, 0, 3)), joint_names=(),
         eyelids=np.zeros((120, 2)), cameras=None, head_version="arkit", scores=scores,
     )  # fmt: skip
-    moved = match_performance(recording, None, target, None, TransferOptions(smooth="none", margin=None))
+    for smooth in ("one-euro", "savgol", "none"):
+        how = TransferOptions(smooth=smooth, margin=None)
+        moved = match_performance(recording, None, target, None, how)
     correlation, slope = followed(recording, ben, moved.expression)
     assert correlation > 0.95 and slope > 0.6
     assert moved.cameras is not None and np.ptp(moved.cameras.world_to_camera, axis=0).max() == 0
