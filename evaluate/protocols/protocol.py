@@ -222,8 +222,6 @@ def _text(value: object) -> str:
     """A value in an id: readable if short, and without characters that are invalid in file names."""
     words = "-".join(value) if isinstance(value, tuple) else str(value)
     safe = re.sub(r"[^A-Za-z0-9._-]", "-", words)
-    return (
-        safe
-        if len(safe) <= 40
-        else f"{safe[:20]}-{hashlib.sha256(words.encode(errors='surrogatepass')).hexdigest()[:8]}"
-    )
+    if len(safe) <= 40:
+        return safe
+    return f"{safe[:20]}-{hashlib.sha256(words.encode(errors='surrogatepass')).hexdigest()[:8]}"

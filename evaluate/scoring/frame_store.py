@@ -7,7 +7,6 @@ Predictions, ground truth and masks are 8-bit images named by source frame numbe
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.images import write_png
-from ggavatar.io.json_files import read_json, write_sealed_json
+from ggavatar.io.json_files import digest_of, read_json, write_sealed_json
 from ggavatar.io.regular_files import read_file
 
 FOLDERS = ("predictions", "ground_truth", "masks")
@@ -53,7 +52,7 @@ class PredictionTask:
 
     def key(self) -> str:
         """SHA-256 of `described` as JSON with sorted keys."""
-        return hashlib.sha256(json.dumps(self.described(), sort_keys=True, allow_nan=False).encode()).hexdigest()
+        return digest_of(self.described())
 
 
 @dataclass(frozen=True)

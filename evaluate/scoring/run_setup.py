@@ -15,14 +15,13 @@ def setup_of_run(run: Run) -> Setup:
     """The setup of an opened run or of a file of Gaussians opened as one."""
     if "file" in run.provenance:
         return Setup("gaussian file")
-    features = perceptual_features(run.provenance, run.config.method_config)
+    features = perceptual_features(run.provenance, run.config.perceptual_features)
     changed = clean_values(dict(changed_settings(run.config)))
     return Setup("run", run.config.method, clean_text(run.config.preset), run.step, clean_text(features), changed)
 
 
-def perceptual_features(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+def perceptual_features(provenance: Mapping[str, Any], wanted: Any) -> str:
     """Features of the perceptual loss: as the training recorded them, else as it was set; `none` without the loss."""
     notes = provenance.get("notes")
     found = provenance.get("perceptual_loss") or (notes.get("perceptual_loss") if isinstance(notes, Mapping) else None)
-    wanted = settings.get("perceptual_features") if settings.get("perceptual_weight") else None
     return str(found or wanted or "none")

@@ -6,11 +6,8 @@
 from __future__ import annotations
 
 import io
-import lzma
-import struct
 import tokenize
 import zipfile
-import zlib
 from collections.abc import Collection, Mapping
 from math import prod
 from pathlib import Path
@@ -22,7 +19,7 @@ from numpy.lib import format as npy
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.regular_files import read_file
-from ggavatar.io.zip_files import open_zip
+from ggavatar.io.zip_files import DAMAGE, open_zip
 
 MAX_ARCHIVE_BYTES = 1 << 29
 """Largest sum of uncompressed arrays that is read from one archive (512 MiB).
@@ -31,9 +28,9 @@ A FLAME model takes 100 MB, an hour of tracking 50 MB.
 """
 
 MALFORMED = (
-    *(ValueError, TypeError, EOFError, OSError, SyntaxError, RuntimeError, MemoryError, NotImplementedError),
-    *(LookupError, AttributeError, ArithmeticError, AssertionError, struct.error),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError),
+    *DAMAGE,
+    *(TypeError, OSError, SyntaxError, MemoryError, AttributeError, ArithmeticError, AssertionError),
+    tokenize.TokenError,
 )
 """What numpy and zipfile raise for damaged data; a header of an old npy file may even fail as Python's tokens."""
 

@@ -77,8 +77,8 @@ def read_file(path: Path, limit: int, expected: str = "a file") -> bytes:
     """The content of a regular file of at most `limit` bytes.
 
     Raises:
-        InputError: As `open_regular`, or the file is larger than `limit`.
-        OSError: It may not be read, or the disk fails.
+        InputError: As `open_regular`, or the file is larger than `limit`, or the disk fails.
+        OSError: It may not be read.
     """
     with open_regular(path, expected) as stream:
         size = os.fstat(stream.fileno()).st_size

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ggavatar.pretrained.catalogue import MAX_DOWNLOAD
+from ggavatar.text.terminal import write_err
 
 TIMEOUT_SECONDS = 30
 """How long a server may stay silent."""
@@ -27,7 +28,7 @@ def show_download(source: str, size: int) -> Iterator[Received]:
         size: Bytes.
     """
     if not sys.stderr.isatty():
-        sys.stderr.write(f"downloading {source} ({size / 1e6:.1f} MB)\n")
+        write_err(f"downloading {source} ({size / 1e6:.1f} MB)")
         sys.stderr.flush()
         yield lambda received: None
         return

@@ -41,14 +41,8 @@ def check_cells(cells: Sequence[Cell], options: Mapping[str, Any]) -> None:
             if cell.capture not in digests:
                 digests[cell.capture] = opened[cell.capture].digest()
             require_same_capture(cell.folder, read_config(cell.folder), opened[cell.capture], digests[cell.capture])
-    for config in {_features(config): config for config in configured.values()}.values():
+    for config in {config.perceptual_features: config for config in configured.values()}.values():
         with_settled_features(config)  # fetched or refused once, before the first training
-
-
-def _features(config: RunConfig) -> object:
-    """What decides which perceptual features a training needs."""
-    settings = config.method_config
-    return settings.get("perceptual_features") if settings.get("perceptual_weight") else None
 
 
 def _opened(folder: Path, opened: Mapping[Path, Capture]) -> Capture:

@@ -1,6 +1,6 @@
 """Lines on a terminal or in a log: what they quote can neither steer the terminal nor forge another line.
 
-Every message of every command leaves through `write_out` or `write_err`.
+Every message of every command leaves through `write_out` or `write_err`, but for those on the compilation of kernels.
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ newest complete checkpoint is found and incomplete ones are skipped. Nothing in 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +22,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import require_folder
-from ggavatar.io.json_files import read_json, write_json
+from ggavatar.io.json_files import digest_of, read_json, write_json
 from ggavatar.io.regular_files import read_file
 from ggavatar.text.terminal import write_err
 
@@ -54,7 +53,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], meta
     path = folder / f"step-{step:09d}.safetensors"
     write_atomically(path, lambda stream: stream.write(data))
     record = {**meta, "step": step, "bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    write_json(path.with_suffix(".json"), {"record": record, "record_sha256": _digest(record)})
+    write_json(path.with_suffix(".json"), {"record": record, "record_sha256": digest_of(record)})
     for old in complete_steps(folder, limit=None)[KEPT_CHECKPOINTS:]:
         _path(folder, old).with_suffix(".json").unlink(missing_ok=True)
         _path(folder, old).unlink(missing_ok=True)
@@ -116,11 +115,6 @@ def _steps(folder: Path) -> list[int]:
     return [int(match[1]) for path in folder.glob("step-*.json") if (match := _NAME.fullmatch(path.name))]
 
 
-def _digest(record: Mapping[str, Any]) -> str:
-    """SHA-256 over all values of a record, whatever their order and spacing in the file."""
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
-
-
 def _path(folder: Path, step: int) -> Path:
     return folder / f"step-{step:09d}.safetensors"
 
@@ -131,7 +125,7 @@ def _record(folder: Path, step: int, digest: bool) -> dict[str, Any] | None:
     try:
         stored = read_json(path.with_suffix(".json"))
         record: dict[str, Any] = stored.get("record", stored)  # version 0.1 had the record alone
-        if "record" in stored and _digest(record) != stored["record_sha256"]:
+        if "record" in stored and digest_of(record) != stored["record_sha256"]:
             return None
         if record["step"] != step or path.stat().st_size != record["bytes"]:
             return None

@@ -70,6 +70,12 @@ class RunConfig:
     method_config: dict[str, Any] = field(default_factory=dict)
     """Every setting of the method."""
 
+    @property
+    def perceptual_features(self) -> Any:
+        """What the perceptual loss is asked to compare, as in `method_config`; None if there is no such loss."""
+        settings = self.method_config
+        return settings.get("perceptual_features") if settings.get("perceptual_weight") else None
+
 
 @dataclass(frozen=True)
 class Run:

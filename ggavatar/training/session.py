@@ -183,27 +183,26 @@ def with_settled_features(config: RunConfig) -> RunConfig:
     Raises:
         InputError: The settings ask for VGG16 and it cannot be had.
     """
-    settings = config.method_config
-    if not settings.get("perceptual_weight") or "perceptual_features" not in settings:
+    wanted = config.perceptual_features
+    if wanted is None:
         return config
     try:
-        features = perceptual_loss(settings["perceptual_features"]).name
+        features = perceptual_loss(wanted).name
     except ModelUnavailable as missing:
         raise InputError(
             f"{missing}. To train with untrained features instead, which every table will say: --set "
             "perceptual_features=random"
         ) from missing
-    return dataclasses.replace(config, method_config={**settings, "perceptual_features": features})
+    return dataclasses.replace(config, method_config={**config.method_config, "perceptual_features": features})
 
 
 def describe(config: RunConfig) -> str:
     """One line that says what is trained: method, preset, changed settings, length, and perceptual features."""
-    settings = config.method_config
     parts = [f"{config.method}, preset {config.preset}", f"{config.training.steps:,} steps", f"seed {config.seed}"]
     if changed := changed_settings(config):
         parts.insert(1, "with " + ", ".join(f"{name}={value}" for name, value in changed.items()))
-    if settings.get("perceptual_weight"):
-        parts.append(f"perceptual loss on {settings.get('perceptual_features')} features")
+    if config.perceptual_features is not None:
+        parts.append(f"perceptual loss on {config.perceptual_features} features")
     return ", ".join(parts)
 
 

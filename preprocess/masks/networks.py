@@ -61,7 +61,8 @@ class RvmOnnx:
     """Robust Video Matting as ONNX through onnxruntime, which the user installs; recurrent over the images.
 
     An ONNX file is a list of operators and numbers and runs no code. RVM's TorchScript files are programs, which can
-    write files, and are not read. OpenCV's DNN module (4.14) cannot load RVM.
+    write files, and are not read. Nor is OpenCV's DNN module used: 4.7.0-dev was reported to fail on RVM's ONNX files
+    (PeterL1n/RobustVideoMatting, issue 215); later versions were not tried.
 
     Raises:
         InputError: onnxruntime is missing, or the file is not RVM's.

@@ -22,7 +22,7 @@ QUANTILES = (0.01, 0.99)
 LEAST_EXPRESSION = (-0.2, 0.5)
 """Sliders of expressions reach at least this far."""
 BEYOND = 0.15
-"""How far ARKit's curves may leave the training range, as a fraction of it: that of ggavatar-render --limit."""
+"""How far ARKit's curves may leave the training range, as a fraction of it; narrower than ggavatar-render --limit."""
 LEAST_ZONE = 1e-6
 """Zone of numbers that did not move in training; zero would be divided by."""
 VIEW_MARGIN = np.radians(15.0)

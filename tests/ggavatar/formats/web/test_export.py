@@ -26,7 +26,7 @@ from ggavatar.formats.web import export as exporting
 from ggavatar.formats.web import performances
 from ggavatar.formats.web.clips import Clip, capture_clip, clip_arrays, clip_rate
 from ggavatar.formats.web.container import pack
-from ggavatar.formats.web.controls import BEYOND, limits, sliders, view_range
+from ggavatar.formats.web.controls import limits, sliders, view_range
 from ggavatar.formats.web.export import export_web
 from ggavatar.formats.web.options import WebOptions, check_web_options
 from ggavatar.formats.web.performances import performance_clip
@@ -233,7 +233,7 @@ def test_ranges_are_those_of_the_training(run: Run) -> None:
     low, high, zone = limits(drives)["expression"]
     np.testing.assert_allclose([low, high], [values.min(0), values.max(0)], atol=1e-6)
     width = np.ptp(values, axis=0)
-    np.testing.assert_allclose(zone, BEYOND * np.maximum(width, np.median(width)), atol=1e-6)
+    np.testing.assert_allclose(zone, 0.15 * np.maximum(width, np.median(width)), atol=1e-6)
     still = limits(drives)["joint_rotations"]
     assert min(still[2]) > 0 and still[0][0] == still[1][0] == 0, "what never moves has a zone all the same"
     named = {slider.label: slider for slider in sliders(head, drives)}
