@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.faults.hostile import outputs
-from tests.faults.hostile.bases import FILES, files_of
+from tests.faults.hostile.bases import FILES, Trees, files_of, make_tree
 from tests.faults.hostile.damage import mutations
 from tests.faults.hostile.fixture import ACCEPTED, FAULT, REFUSED, Fixture, Flipped, Hostile, Mutated, Reading
 from tests.faults.hostile.pool import Pool
@@ -30,6 +30,8 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reas
 WATCHED = r"""
 import contextlib, json, os, pickle, socket, subprocess, sys
 from pathlib import Path
+from jinja2 import Environment
+from evaluate.figures import report
 from tests.faults.hostile.watch import Watch, state_of
 
 here = Path(sys.argv[1])
@@ -53,6 +55,7 @@ harmful = {
     "renamed": lambda: os.rename("victim", "victim2"),
     "a link": lambda: os.symlink("x", "link"),
     "network": lambda: socket.create_connection(("127.0.0.1", 9), 0.1),
+    "a template": lambda: Environment().from_string("{{ 1 }}"),
     "a library": lambda: __import__("ctypes").CDLL("libc.so.6"),
 }
 harmless = {
@@ -60,6 +63,7 @@ harmless = {
     "written where it may": lambda: (here / "scratch" / "a").write_text("x"),
     "JSON": lambda: json.loads("[1]"),
     "a class": lambda: __import__("collections").namedtuple("A", "b"),
+    "a template of ours": lambda: report._environment().get_template(report.TEMPLATE),
     "a module": lambda: __import__("wave"),
 }
 watch = Watch()
@@ -81,7 +85,7 @@ def test_the_watch_sees_what_reading_must_never_do(tmp_path: Path) -> None:
         line, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True
     )
     seen = [row.split(" ", 2) for row in ended.stdout.splitlines()]
-    assert len(seen) == 17
+    assert len(seen) == 19
     assert [name for kind, found, name in seen if kind == "harmful" and found == "False"] == []
     assert [name for kind, found, name in seen if kind == "harmless" and found == "True"] == []
     assert seen[-1][:2] == ["state", "True"]
@@ -153,6 +157,14 @@ def test_damage_is_damage(tmp_path: Path) -> None:
         (outputs.check_csv, "a,=1+1\n", "a,-1.5,'=1+1\n"),
         (outputs.check_csv, '"@SUM(1)",b\n', '"x@SUM(1)",b\n'),
         (outputs.check_markdown, "| ![x](http://y) |", r"| \!\[x\]\(http://y\) |"),
+        (outputs.check_markdown, "| [x](javascript:alert(1)) |", r"| \[x](javascript:alert(1)) |"),
+        (
+            outputs.check_markdown,
+            "| a |\n|---|\n| [x][1] |\n\n[1]: data:,x",
+            "| a |\n|---|\n| <span>$</span> **1** |\n",
+        ),
+        (outputs.check_markdown, "a <b onclick=x>", r"a \<b onclick=x>"),
+        (outputs.check_markdown, "<script>1</script>", r"\<script>1"),
         (outputs.check_latex, r"a & \write18{x}", r"a & \textbackslash{}write18\{x\}"),
         (outputs.check_terminal, "a\x1b[2Jb", "a b"),
         (outputs.check_terminal, "x\n::owned\n", "x ::error\n"),
@@ -160,6 +172,31 @@ def test_damage_is_damage(tmp_path: Path) -> None:
 )
 def test_outputs_are_checked(check, bad: str, good: str) -> None:
     assert check(bad) and not check(good)
+
+
+def test_a_tree_is_restored_whatever_was_planted(tmp_path: Path) -> None:
+    """A folder that was made for a planted file goes too, and one that a file took the place of comes back."""
+    kept = {"a/b.npy": b"1", "c.json": b"2"}
+    for name, content in kept.items():
+        path = tmp_path / "originals" / FILES / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    (tmp_path / "sandbox").mkdir()
+    trees = Trees(tmp_path / "originals", tmp_path / "sandbox")
+    tree = trees.copy(FILES)
+    planted = Hostile("x", FILES, "npy", ".", {"new/deep/b.npy": b"", "c.json": b"", "a": b""})
+    trees.restore(FILES, planted.plant(tree))
+    found = sorted(path.relative_to(tree).as_posix() for path in tree.rglob("*"))
+    assert found == ["a", "a/b.npy", "c.json"]
+    assert {name: (tree / name).read_bytes() for name in kept} == kept
+
+
+def test_code_folders_are_those_that_the_tracker_writes(tmp_path: Path) -> None:
+    """So that its arrays are read: with an array that has a lying header the message is about that array."""
+    make_tree("emica", tmp_path / "emica")
+    planted = {one.base: one for one in attacks() if one.reader == "tracking:emica"}["emica"]
+    names = set(files_of(tmp_path / "emica"))
+    assert isinstance(planted, Hostile) and planted.files.keys() <= names
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from evaluate.figures.curves import COLORS
 from evaluate.figures.evaluation_images import EvaluationImages, display_names, measured_metrics, worst_frames
@@ -50,7 +49,7 @@ def write_report(path: Path, compared: Sequence[EvaluationImages], megabytes: fl
         raise InputError(f"expected one subject under one protocol in a report, found {len(kinds)}; write one for each")
     evaluations, names = [one.evaluation for one in compared], display_names(compared)
     tables = [(COLLAPSED_TABLES.get(table.name), to_fragment(table)) for table in build_tables(evaluations)]
-    page = _environment().from_string((files("evaluate.figures") / TEMPLATE).read_text(encoding="utf-8"))
+    page = _environment().get_template(TEMPLATE)
     text = page.render(
         title=f"{evaluations[0].subject}: {', '.join(names)}",
         table_style=STYLE,
@@ -71,8 +70,9 @@ def _avatar_page(report: Path) -> str | None:
 
 
 def _environment() -> Environment:
-    """Jinja2 with automatic escaping, undefined names as errors and strict JSON."""
-    environment = Environment(autoescape=True, undefined=StrictUndefined, finalize=_shown)
+    """Jinja2 with templates of this package, automatic escaping, undefined names as errors and strict JSON."""
+    loader = PackageLoader("evaluate", "figures")  # compiled code is named after the template's file
+    environment = Environment(autoescape=True, undefined=StrictUndefined, finalize=_shown, loader=loader)
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
     return environment
 

@@ -79,6 +79,11 @@ def complete_steps(folder: Path, limit: int | None = 1) -> list[int]:
     return complete
 
 
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a folder holds a checkpoint, complete or damaged; one whose JSON was not written yet is none."""
+    return bool(_steps(folder))
+
+
 def load_checkpoint(folder: Path, step: int | None = None) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read a checkpoint.
 

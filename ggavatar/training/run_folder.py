@@ -34,7 +34,7 @@ from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.training import registry
-from ggavatar.training.checkpoint import load_checkpoint, unpack_avatar
+from ggavatar.training.checkpoint import has_checkpoint, load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
 
 SCHEMA, VERSION = "ggavatar-run", 1
@@ -197,19 +197,21 @@ def check_run_folder(folder: Path, overwrite: bool) -> None:
     """Check that a new run may be written into a folder; nothing is changed.
 
     Raises:
-        InputError: The folder holds a run and `overwrite` is not set, or it holds other files, or it is a file.
+        InputError: The folder holds a run that has a checkpoint or results and `overwrite` is not set, or it holds
+            other files, or it is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for the run, found a file; choose another folder with -o")
+    foreign = _foreign_files(folder) if folder.exists() else []
     if not holds_run(folder):
-        foreign = _foreign_files(folder) if folder.exists() else []
         if foreign:
             raise InputError(
                 f"{folder}: expected an empty folder or a run, found other files ({foreign[0].name}); choose another "
                 "folder with -o"
             )
     else:
-        if not overwrite:
+        # Without a checkpoint, resuming would begin with the first step too: there is nothing to keep.
+        if not overwrite and (foreign or has_checkpoint(folder / "checkpoints")):
             raise InputError(
                 f"{folder}: already holds a run; pass --resume to continue it, --overwrite to replace it, or choose "
                 "another folder with -o"
@@ -223,8 +225,8 @@ def holds_run(folder: Path) -> bool:
 
 
 def _foreign_files(folder: Path) -> list[Path]:
-    """What is in a folder besides what a training leaves there that was stopped before its first step."""
-    own = {"checkpoints", "metrics", "split.json", "provenance.json"}
+    """What is in a folder besides what a training leaves there that was stopped before its first checkpoint."""
+    own = {"checkpoints", "config.json", "metrics", "split.json", "provenance.json"}
     others = (path for path in folder.iterdir() if path.name not in own)
     return sorted(path for path in others if not is_partial(path) and not is_lock_file(path))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
+from ggavatar.io.dataclass_json import override
 from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import write_sealed_json
@@ -242,6 +243,19 @@ def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunC
                 f"{output}: --resume continues with {name} = {saved[name]}, found {value}; omit the flag or start a "
                 "new run"
             )
-    if options.get("set"):
-        raise InputError(f"{output}: --resume continues with the run's own settings; omit --set or start a new run")
+    _require_same_settings(output, config, options.get("set", ()))
     return config
+
+
+def _require_same_settings(output: Path, config: RunConfig, assignments: Sequence[str]) -> None:
+    """Check that the texts of --set change nothing in a run; `best` features are those that it has settled on."""
+    where = f"method {config.method}"
+    own = registry.load(config.method).config_from(config.method_config, where)
+    wanted = override(own, assignments, where)
+    for field in dataclasses.fields(own):
+        value, found = getattr(own, field.name), getattr(wanted, field.name)
+        if found != value and (field.name, found) != ("perceptual_features", "best"):
+            raise InputError(
+                f"{output}: --resume continues with {field.name} = {value}, found --set {field.name}={found}; omit the "
+                "flag or start a new run"
+            )

@@ -176,7 +176,7 @@ def _of_headers() -> Iterator[Hostile]:
         file = zipped({f"{name}.npy": content for name in _MEMBERS})
         for name in dict.fromkeys(("plain.npz", arrays[number % len(arrays)])):
             yield Hostile(f"{title} in {name}", FILES, _READERS[name], name, {name: file})
-        codes = {f"tracking/00000/{name}.npy": content for name in ("exp", "pose", "cam", "shape")}
+        codes = {f"tracking/00000_00/{name}.npy": content for name in ("exp", "jawpose", "globalpose", "cam", "shape")}
         yield Hostile(f"{title} in a code folder", "emica", "tracking:emica", "tracking", codes)
 
 

@@ -55,8 +55,13 @@ class Trees:
             shutil.copytree(original, tree, symlinks=True)
         for file in changed or ():
             remove(tree / file)
-            if (original / file).is_file():
+            if (original / file).is_dir():
+                shutil.copytree(original / file, tree / file, symlinks=True)
+            elif (original / file).is_file():
                 shutil.copyfile(original / file, tree / file)
+            for home in (tree / file).relative_to(tree).parents:  # from the innermost; folders made for the file
+                if not (original / home).exists() and (tree / home).exists():
+                    remove(tree / home)
         for extra in self.sandbox.iterdir():
             if extra.name != "victim.txt" and not (self._originals / extra.name).exists():
                 remove(extra)

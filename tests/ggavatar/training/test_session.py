@@ -62,7 +62,7 @@ def test_a_second_writer_is_refused_by_name(capture: Path, tmp_path: Path) -> No
             time.sleep(0.05)
         for wish in ({}, {"overwrite": True}, {"resume": True}):
             options = {"resume": True} if "resume" in wish else {**PLAIN, **wish}
-            expected = "already holds a run" if not wish else rf"process {first.pid} on .* is writing"
+            expected = rf"process {first.pid} on .* is writing" + ("|already holds a run" if not wish else "")
             with pytest.raises(InputError, match=expected):
                 train_run(capture, run, options, quiet=True)
         assert read_config(run).training.steps == 100_000
@@ -83,6 +83,57 @@ def test_a_start_that_was_killed_early_blocks_nothing(capture: Path, tmp_path: P
         (run / ".abc.json.part").write_text("{")
     assert train_run(capture, run, {**PLAIN, **({flag: True} if flag else {})}, quiet=True) == 6
     assert not list(run.rglob("*.part"))
+
+
+@pytest.mark.parametrize("flag", ["", "overwrite", "resume"])
+def test_a_kill_before_the_first_checkpoint_blocks_nothing(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flag: str
+) -> None:
+    """The very same command goes on; once there is a checkpoint, only --resume and --overwrite do."""
+    run, options = tmp_path / "run", {**PLAIN, "method": "ggavatar"}
+    with monkeypatch.context() as patch:
+        stop_after(1, patch)
+        with pytest.raises(ProcessLookupError):
+            train_run(capture, run, options, quiet=True)
+    assert (run / "config.json").exists() and not list(run.glob("checkpoints/*.json"))
+    assert train_run(capture, run, {**options, **({flag: True} if flag else {})}, quiet=True) == 6
+    journal = (run / "metrics" / "train.jsonl").read_text().splitlines()
+    assert [json.loads(line)["step"] for line in journal] == [6]
+    with pytest.raises(InputError, match="already holds a run; pass --resume"):
+        train_run(capture, run, options, quiet=True)
+    assert train_run(capture, run, {**options, "resume": True}, quiet=True) == 6
+
+
+def test_results_without_a_checkpoint_are_kept(capture: Path, tmp_path: Path) -> None:
+    """Somebody removed the checkpoints of an evaluated run to save space."""
+    run = tmp_path / "run"
+    train_run(capture, run, PLAIN, quiet=True)
+    shutil.rmtree(run / "checkpoints")
+    (run / "eval").mkdir()
+    with pytest.raises(InputError, match="already holds a run"):
+        train_run(capture, run, PLAIN, quiet=True)
+
+
+def test_resume_takes_the_same_settings_and_refuses_others(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, options = (
+        tmp_path / "run",
+        {**PLAIN, "set": ["perceptual_weight=0", "latent=16", "perceptual_features=random"]},
+    )
+    with monkeypatch.context() as patch:
+        stop_after(3, patch)
+        with pytest.raises(ProcessLookupError):
+            train_run(capture, run, options, quiet=True)
+    for texts, words in (
+        (["latent=8"], "latent = 16, found --set latent=8; omit the flag"),
+        (["latnet=16"], "did you mean latent"),
+    ):
+        with pytest.raises(InputError, match=words):
+            train_run(capture, run, {**options, "set": texts, "resume": True}, quiet=True)
+    again = {**options, "set": ["latent=16", "perceptual_weight=0.0", "perceptual_features=best"], "resume": True}
+    assert train_run(capture, run, again, quiet=True) == 6
+    assert read_config(run).method_config["perceptual_features"] == "random"
 
 
 def test_resume_of_nothing_is_a_typo(capture: Path, tmp_path: Path) -> None:
