@@ -111,6 +111,9 @@ class PrepOptions:
     overwrite: bool = False
     """Replace an existing capture that was made by this command."""
 
+    refine: bool = True
+    """Refine the tracking against the pictures: a short avatar draws all frames and corrects it (about a minute)."""
+
     tracker: TrackingOptions = field(default_factory=TrackingOptions)
 
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False

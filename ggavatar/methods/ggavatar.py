@@ -268,9 +268,12 @@ class GGAvatar(nn.Module):
         """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
 
-    @torch.no_grad()
     def _local_frames(self, drive: Drive) -> TriangleFrames:
-        """Triangle frames (Eq. 4–5) of the neutral head or of the tracked head."""
+        """Triangle frames (Eq. 4–5) of the neutral or the tracked head; differentiable if the drive asks for it."""
+        with torch.set_grad_enabled(torch.is_grad_enabled() and drive.requires_grad):
+            return self._local_frames_of(drive)
+
+    def _local_frames_of(self, drive: Drive) -> TriangleFrames:
         neutral = self.is_neutral or not self.config.skinning
         if neutral and self.config.pose_on == "camera":
             return self.neutral_local_frames
