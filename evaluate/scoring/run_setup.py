@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from evaluate.protocols.setup import Setup
+from evaluate.protocols.setup import AS_TRACKED, REFINED, Setup
 from ggavatar.training.changed_settings import changed_settings
 from ggavatar.training.run_folder import Run
 
@@ -15,7 +15,16 @@ def setup_of_run(run: Run) -> Setup:
     if "file" in run.provenance:
         return Setup("gaussian file")
     features = perceptual_features(run.provenance, run.config.method_config)
-    return Setup("run", run.config.method, run.config.preset, run.step, features, changed_settings(run.config))
+    changed, tracking = changed_settings(run.config), tracking_of(run.capture.source)
+    return Setup("run", run.config.method, run.config.preset, run.step, features, changed, tracking)
+
+
+def tracking_of(source: Mapping[str, Any]) -> str | None:
+    """Whether a capture's tracking was refined, as its `source` says; None if it does not, as of an earlier version."""
+    found = source.get("refinement")
+    if not isinstance(found, Mapping) or "refined" not in found:
+        return None
+    return REFINED if found["refined"] else AS_TRACKED
 
 
 def perceptual_features(provenance: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
