@@ -37,7 +37,8 @@ def run(context: StageContext) -> Mapping[str, Any]:
     reason = why_not(context.options, len(numbers))
     if reason is not None:
         write_npz(context.folder / TRACKING, tracking.arrays())
-        context.reporter.note(f"the tracking is not refined against the pictures: {reason}")
+        if context.options.refine:
+            context.reporter.note(f"the tracking is not refined against the pictures: {reason}")
         return {"refined": False, "reason": reason}
     report = _refine(context, tracking, numbers)
     context.reporter.note(in_words(report))
@@ -64,7 +65,7 @@ def in_words(report: Mapping[str, Any]) -> str:
 
 def _refine(context: StageContext, tracking: Tracking, numbers: list[int]) -> dict[str, Any]:
     from ggavatar.head.files import load_head
-    from preprocess.refinement.pictures import read_pictures
+    from preprocess.refinement.pictures import face_points, read_pictures
     from preprocess.refinement.refine import refine
 
     def read(row: int) -> tuple[np.ndarray, np.ndarray]:
@@ -72,10 +73,10 @@ def _refine(context: StageContext, tracking: Tracking, numbers: list[int]) -> di
         return read_rgb(context.folder / "images" / name), read_gray(context.folder / "masks" / name)
 
     rows = evenly_spaced(len(numbers), PICTURES).tolist()
-    pictures = read_pictures(rows, read, SIDE)
-    fps = float(context.results["evidence"]["fps"])
+    head, fps = load_head(context.folder / HEAD), float(context.results["evidence"]["fps"])
     with one_torch_thread():
-        found = refine(load_head(context.folder / HEAD), tracking, pictures, fps, advance=context.reporter.advance)
+        pictures = read_pictures(rows, read, SIDE, lambda row: face_points(head, tracking, row))
+        found = refine(head, tracking, pictures, fps, advance=context.reporter.advance)
     write_npz(context.folder / TRACKING, found.tracking.arrays())
     return found.report
 

@@ -42,14 +42,14 @@ def mean_information(
         row = avatar.pictures.rows[place]
         one, now = tracking.rows(slice(row, row + 1)), values[row : row + 1]
         own = corrections.at(row)
-        colors, coverage = avatar.pictures.picture(place)
+        colors, coverage, weights = avatar.pictures.picture(place)
         drawn = avatar.draw(own.moved(one, now), 0)
-        base, factor = whitened(drawn, colors, coverage), robust_factor(drawn, colors, coverage).sqrt()
+        base, factor = whitened(drawn, colors, coverage, weights), robust_factor(drawn, colors, coverage).sqrt()
         columns = []
         for column in range(corrections.count):
             step = np.zeros_like(now)
             step[:, column] = STEP
-            there = whitened(avatar.draw(own.moved(one, now + step), 0), colors, coverage)
+            there = whitened(avatar.draw(own.moved(one, now + step), 0), colors, coverage, weights)
             columns.append(((there - base) * factor / STEP).flatten())
         jacobian = torch.stack(columns).double().numpy()
         total += jacobian @ jacobian.T

@@ -77,10 +77,10 @@ class LandmarkTerm:
         """Where the landmarks of the mesh are in a frame, px."""
         return self._projected(tracking, row, Leaves.of(tracking, row, wanted=False)).double().numpy()
 
-    def gradients(self, tracking: Tracking) -> dict[str, np.ndarray]:
-        """Gradient of half the squared misses over `scale`, linear beyond it, by array of the tracking."""
+    def gradients(self, tracking: Tracking, rows: Sequence[int]) -> dict[str, np.ndarray]:
+        """Gradient of half the squared misses over `scale` in some frames, linear beyond it, by array of the tracking."""
         sums = {name: np.zeros(array.shape) for name, array in Leaves.arrays(tracking).items()}
-        for row in np.flatnonzero(self.found).tolist():
+        for row in (row for row in rows if self.found[row]):
             leaves = Leaves.of(tracking, row, wanted=True)
             self._misfit(tracking, row, leaves).backward()
             for name, gradient in leaves.gradients().items():

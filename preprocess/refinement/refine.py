@@ -87,7 +87,9 @@ def refine(
             known = _measured(avatar, landmarks, tracking, corrections, values, fps)
         moved = corrections.moved(tracking, values)
         found = avatar.epoch(moved, with_gradients=True)
-        gradients = found.gradients if landmarks is None else _sum(found.gradients, landmarks.gradients(moved))
+        gradients = (
+            found.gradients if landmarks is None else _sum(found.gradients, landmarks.gradients(moved, pictures.rows))
+        )
         gradient = corrections.pulled_back(tracking, values, gradients)
         factor = 1.0 if epoch >= options.epochs - 2 else options.relaxation
         values = values + factor * smooth_step(values, known.information, gradient, known.regularity)
@@ -122,7 +124,7 @@ def _measured(
         rows = [avatar.pictures.rows[place] for place in places]
         face = landmarks.information(tracking, corrections, values, rows)
         typical = typical + face
-        total[landmarks.found] += face
+        total[[row for row in avatar.pictures.rows if landmarks.found[row]]] += face
     stds, cutoffs = corrections.per_number("prior"), corrections.per_number("cutoff")
     return _Known(total, regularity(typical, stds, cutoffs, fps))
 

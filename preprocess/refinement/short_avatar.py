@@ -82,7 +82,7 @@ class ShortAvatar:
             steps=steps,
             seed=SEED,
             max_gaussians=len(head.faces),
-            samples=tuple(Frame(*posed[place], *pictures.picture(place)) for place in chosen),
+            samples=tuple(Frame(*posed[place], *pictures.picture(place)[:2]) for place in chosen),
             rasterize=self._rasterize,
         )
         self.avatar = ggavatar.build(CONFIG, scene)
@@ -117,9 +117,9 @@ class ShortAvatar:
     def _step(self, rendering: Rendering, place: int) -> float:
         """One update of the Gaussians from the rendering of a picture; returns the misfit."""
         avatar, rows = self.avatar, self.avatar.rows
-        colors, coverage = self.pictures.picture(place)
-        difference = misfit(rendering, colors, coverage)
-        visible, scale = rendering.radii > 0, total_weight(coverage)
+        colors, coverage, weights = self.pictures.picture(place)
+        difference = misfit(rendering, colors, coverage, weights)
+        visible, scale = rendering.radii > 0, total_weight(weights)
         position = position_regularizer(rows["means"], visible, CONFIG.position_threshold)
         size = log_scale_regularizer(rows["log_scales"], visible, CONFIG.scale_threshold)
         (difference + scale * (CONFIG.position_weight * position + CONFIG.scale_weight * size)).backward()

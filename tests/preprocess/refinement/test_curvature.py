@@ -49,7 +49,7 @@ def test_information_is_that_of_the_linear_model(ball_tracking):
     )
     patterns = np.random.default_rng(0).normal(size=(2, 4, 4))
     grey = np.full((2, 4, 4, 3), 255 / 2).round().astype(np.uint8)
-    pictures = Pictures((0, 9), grey, np.full((2, 4, 4), 255, np.uint8), (4, 4))
+    pictures = Pictures((0, 9), grey, np.full((2, 4, 4), 255, np.uint8), np.ones((2, 4, 4), bool), (4, 4))
     found = mean_information(LinearDrawing(pictures, patterns), still, Shift(), np.zeros((24, 2)), [0, 1])
     slopes = 0.002 * patterns.reshape(2, -1) / NOISE
     np.testing.assert_allclose(found, 3 * slopes @ slopes.T / CORRELATED, rtol=0.02)

@@ -38,7 +38,7 @@ def test_a_miss_of_the_mesh_in_all_frames_is_not_held_against_a_frame(ball, seen
     for row in (0, 7):
         np.testing.assert_allclose(term.wanted[row], term.seen(seen, row), atol=1e-3)
     corrections = corrections_of(ball, seen)
-    slopes = corrections.pulled_back(seen, np.zeros((24, corrections.count)), term.gradients(seen))
+    slopes = corrections.pulled_back(seen, np.zeros((24, corrections.count)), term.gradients(seen, range(24)))
     assert np.abs(slopes).max() < 1e-3
 
 
@@ -52,7 +52,7 @@ def test_gradient_and_information_against_differences(ball, seen):
         missed = (term.seen(corrections.moved(seen, values), 7) - term.wanted[7]) / term.scale
         return float((np.sqrt(1 + (missed**2).sum(-1)) - 1).sum())
 
-    found = corrections.pulled_back(seen, start, term.gradients(corrections.moved(seen, start)))
+    found = corrections.pulled_back(seen, start, term.gradients(corrections.moved(seen, start), range(24)))
     steps = 0.05 * np.eye(corrections.count)
     for column in range(corrections.count):
         step = np.zeros_like(start)

@@ -14,7 +14,7 @@ from preprocess.refinement.corrections import corrections_of
 from preprocess.refinement.curvature import mean_information
 from preprocess.refinement.drawing import Leaves, camera_of, drive_of
 from preprocess.refinement.objective import misfit
-from preprocess.refinement.pictures import Pictures, read_pictures
+from preprocess.refinement.pictures import Pictures, face_points, read_pictures
 from preprocess.refinement.refine import RefinementOptions, finished, refine
 from preprocess.refinement.rigid_steps import stepped
 from preprocess.refinement.short_avatar import ShortAvatar
@@ -29,8 +29,11 @@ def person():
     """The ball in 48 frames with its pictures, its expressions small."""
     head, record = ball_head(), moving_record(COUNT)
     record = dataclasses.replace(record, expression=0.3 * record.expression, eyelids=0 * record.eyelids)
-    pictures = read_pictures(range(COUNT), lambda row: draw(head, record, row), 96)
-    return head, as_tracking(record), pictures
+    tracking = as_tracking(record)
+    pictures = read_pictures(
+        range(COUNT), lambda row: draw(head, record, row), 96, lambda row: face_points(head, tracking, row)
+    )
+    return head, tracking, pictures
 
 
 def perturbed(tracking):
@@ -94,7 +97,8 @@ def test_it_is_repeatable_and_leaves_the_rest_alone(person):
 
 def test_frames_between_pictures_move_too(person):
     head, truth, pictures = person
-    some = Pictures(pictures.rows[::2], pictures.colors[::2], pictures.coverage[::2], pictures.full_size)
+    arrays = pictures.rows, pictures.colors, pictures.coverage, pictures.face
+    some = Pictures(*(part[::2] for part in arrays), pictures.full_size)
     calls = []
     short = RefinementOptions(warm_epochs=1, epochs=2)
     wrong = perturbed(truth)
@@ -144,7 +148,7 @@ def test_gradients_of_a_picture_against_differences_in_float64(person):
     avatar.epoch(truth, with_gradients=False)
     exact = head.to("cpu", torch.float64)
     model = in_double(avatar.avatar, exact)
-    colors, coverage = (part.double() for part in pictures.picture(7))
+    colors, coverage, weights = (part.double() for part in pictures.picture(7))
     corrections = corrections_of(head, truth)
     values = np.zeros((COUNT, corrections.count))
 
@@ -152,7 +156,7 @@ def test_gradients_of_a_picture_against_differences_in_float64(person):
         drive = drive_of(exact, tracking, 7, leaves)
         camera = camera_of(tracking, 7, leaves, pictures.full_size, pictures.size)
         drawn = rasterize(model.gaussians(drive), camera, torch.ones(3, dtype=torch.float64))
-        return misfit(drawn, colors, coverage)
+        return misfit(drawn, colors, coverage, weights)
 
     leaves = Leaves.of(truth, 7, wanted=True, dtype=torch.float64)
     cost(leaves, truth).backward()
