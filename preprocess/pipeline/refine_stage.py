@@ -21,12 +21,12 @@ LEAST_FRAMES = 48
 """Fewer show the person from too few sides for an avatar that corrects the tracking."""
 PICTURES = 250
 """Most pictures that are compared, evenly spaced; it bounds the time, whatever the length of the clip."""
-SIDE = 192
+SIDE = 160
 """Longer side of the compared pictures, px."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
-    """Whether refinement is wanted."""
+    """Whether refinement is wanted, which also depends on where the tracking is from."""
     return {"refine": options.refine}
 
 
@@ -37,7 +37,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
     reason = why_not(context.options, len(numbers))
     if reason is not None:
         write_npz(context.folder / TRACKING, tracking.arrays())
-        if context.options.refine:
+        if context.options.refine != "no":
             context.reporter.note(f"the tracking is not refined against the pictures: {reason}")
         return {"refined": False, "reason": reason}
     report = _refine(context, tracking, numbers)
@@ -47,8 +47,10 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
 def why_not(options: PrepOptions, frames: int) -> str | None:
     """Why a clip is not refined; None if it is."""
-    if not options.refine:
+    if options.refine == "no":
         return "--no-refine"
+    if options.refine == "auto" and options.tracking is not None:
+        return "it was made elsewhere; --refine corrects it"
     if frames < LEAST_FRAMES:
         return f"{frames} frames are too few, it takes {LEAST_FRAMES}"
     return None

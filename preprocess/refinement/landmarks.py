@@ -78,7 +78,7 @@ class LandmarkTerm:
         return self._projected(tracking, row, Leaves.of(tracking, row, wanted=False)).double().numpy()
 
     def gradients(self, tracking: Tracking, rows: Sequence[int]) -> dict[str, np.ndarray]:
-        """Gradient of half the squared misses over `scale` (linear beyond it) in some rows, by array of the tracking."""
+        """Gradient of half the squared misses over `scale`, linear beyond it, in some rows, by name of the array."""
         sums = {name: np.zeros(array.shape) for name, array in Leaves.arrays(tracking).items()}
         for row in (row for row in rows if self.found[row]):
             leaves = Leaves.of(tracking, row, wanted=True)

@@ -10,7 +10,7 @@ import pytest
 
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
-from preprocess.cli.prep import main
+from preprocess.cli.prep import _refine_as_value, main
 from preprocess.options import PrepOptions
 from preprocess.pipeline import refine_stage
 from preprocess.refinement import refine as refinement
@@ -19,7 +19,9 @@ REPORT = {"pictures": 24, "head_degrees": 0.5, "head_mm": 2.0}
 
 
 def run(clip, folder, *more):
-    return main([*clip.arguments, "-o", str(folder), *more])
+    """Exit code of ggavatar-prep on the clip with imported tracking, refined unless it is told otherwise."""
+    flags = () if "--no-refine" in more or "auto" in more else ("--refine",)
+    return main([*clip.arguments, "-o", str(folder), *flags, *more])
 
 
 @pytest.fixture
@@ -57,9 +59,33 @@ def test_a_short_clip_is_not_refined_and_says_why(clip, tmp_path, capsys):
 
 def test_the_rule():
     options = PrepOptions(input="a.mp4", output_dir="a")
+    imported = dataclasses.replace(options, tracking="t")
     assert refine_stage.why_not(options, 48) is None
     assert refine_stage.why_not(options, 47) == "47 frames are too few, it takes 48"
-    assert refine_stage.why_not(dataclasses.replace(options, refine=False), 500) == "--no-refine"
+    assert refine_stage.why_not(imported, 500) == "it was made elsewhere; --refine corrects it"
+    assert refine_stage.why_not(dataclasses.replace(imported, refine="yes"), 500) is None
+    for each in (options, imported):
+        assert refine_stage.why_not(dataclasses.replace(each, refine="no"), 500) == "--no-refine"
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        (["--refine"], ["--refine", "yes"]),
+        (["--refine", "-o", "x"], ["--refine", "yes", "-o", "x"]),
+        (["--refine", "auto", "a"], ["--refine", "auto", "a"]),
+        (["a", "--no-refine"], ["a", "--refine", "no"]),
+        (["--refined"], ["--refined"]),
+    ],
+)
+def test_flags_without_a_value(given, read):
+    assert _refine_as_value(given) == read
+
+
+def test_an_imported_tracking_is_kept_unless_it_is_asked_for(clip, tmp_path, capsys, quick):
+    assert run(clip, tmp_path / "c", "--refine", "auto") == 0 and not quick
+    assert "made elsewhere; --refine corrects it" in capsys.readouterr().err
+    assert Capture.open(tmp_path / "c").source["refinement"]["refined"] is False
 
 
 def test_a_refined_capture_says_so_and_can_be_made_as_tracked_again(clip, tmp_path, capsys, quick):
