@@ -17,6 +17,8 @@ from preprocess.refinement.corrections import Corrections, corrections_of
 from preprocess.refinement.curvature import mean_information
 from preprocess.refinement.landmarks import LandmarkTerm
 from preprocess.refinement.pictures import Pictures
+from preprocess.refinement.rigid_steps import RIGID
+from preprocess.refinement.shape import ShapeModes, compensation, shape_step
 from preprocess.refinement.short_avatar import ShortAvatar
 from preprocess.refinement.solve import Regularity, regularity, smooth_step
 from preprocess.tracking.geometry.rigid import evenly_spaced
@@ -45,11 +47,13 @@ class Refined:
 
     Attributes:
         tracking: The refined one.
+        head: The head model; one that our tracker made has its depth corrected.
         misfits: Mean misfit of every pass.
         report: For the capture, as plain JSON values.
     """
 
     tracking: Tracking
+    head: HeadModel
     misfits: tuple[float, ...]
     report: dict[str, Any]
 
@@ -75,7 +79,8 @@ def refine(
         advance: Called with the passes done and in all.
     """
     corrections = corrections_of(head, tracking)
-    landmarks = LandmarkTerm.of(head, tracking)
+    landmarks, modes = LandmarkTerm.of(head, tracking), ShapeModes.of(head)
+    shape = np.zeros(0 if modes is None else len(modes.modes))
     total = options.warm_epochs + options.epochs
     avatar = ShortAvatar(head, tracking, pictures, total * len(pictures.rows))
     values, misfits = np.zeros((len(tracking.expression), corrections.count)), []
@@ -84,6 +89,7 @@ def refine(
         advance(done + 1, total)
     for epoch in range(options.epochs):
         if epoch == 0 or epoch in options.measured:
+            landmarks = LandmarkTerm.of(avatar.head, corrections.moved(tracking, values))
             known = _measured(avatar, landmarks, tracking, corrections, values, fps)
         moved = corrections.moved(tracking, values)
         found = avatar.epoch(moved, with_gradients=True)
@@ -93,10 +99,23 @@ def refine(
         gradient = corrections.pulled_back(tracking, values, gradients)
         factor = 1.0 if epoch >= options.epochs - 2 else options.relaxation
         values = values + factor * smooth_step(values, known.information, gradient, known.regularity)
+        if modes is not None:
+            step, followed = shape_step(
+                compensation(modes, avatar.head, moved, corrections.blocks[0]),
+                shape,
+                modes.pulled_back(found.template),
+                gradient[:, :RIGID],
+                known.picture[:RIGID, :RIGID],
+                pictures.rows,
+            )
+            shape, values[:, :RIGID] = shape + factor * step, values[:, :RIGID] + factor * followed
+            avatar.reshape(modes.head(head, shape))
         misfits.append(found.misfit)
         advance(options.warm_epochs + epoch + 1, total)
     moved = finished(corrections.moved(tracking, values), tracking)
-    return Refined(moved, tuple(misfits), report_of(pictures, tracking, moved, corrections.split(values), misfits))
+    return Refined(
+        moved, avatar.head, tuple(misfits), report_of(pictures, tracking, moved, corrections.split(values), misfits)
+    )
 
 
 @dataclass(frozen=True)
@@ -104,6 +123,7 @@ class _Known:
     """What every frame tells about its corrections, and what is known without it."""
 
     information: Float[np.ndarray, "T C C"]
+    picture: Float[np.ndarray, "C C"]
     regularity: Regularity
 
 
@@ -126,7 +146,7 @@ def _measured(
         typical = typical + face
         total[[row for row in avatar.pictures.rows if landmarks.found[row]]] += face
     stds, cutoffs = corrections.per_number("prior"), corrections.per_number("cutoff")
-    return _Known(total, regularity(typical, stds, cutoffs, fps))
+    return _Known(total, picture, regularity(typical, stds, cutoffs, fps))
 
 
 def _sum(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
