@@ -1,21 +1,25 @@
-"""Seventh stage: the tracking is refined against the pictures, or taken over as it is."""
+"""Seventh stage: tracking and head model are refined against the pictures, or taken over as they are."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ggavatar.data.capture import HEAD, TRACKING, Tracking
 from ggavatar.data.capture_schema import read_tracking
+from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage, StageContext
-from preprocess.pipeline.tracking_stage import TRACKED
+from preprocess.pipeline.tracking_stage import TRACKED, TRACKED_HEAD
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.geometry.rigid import evenly_spaced
+
+if TYPE_CHECKING:
+    from preprocess.refinement.refine import Refined
 
 LEAST_FRAMES = 48
 """Fewer show the person from too few sides for an avatar that corrects the tracking."""
@@ -31,18 +35,24 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write tracking.npz, refined or as tracked; the result says which, and why not."""
+    """Write tracking.npz and head.npz, refined or as tracked; the result says which, and why not."""
+    from ggavatar.head.files import load_head, save_head
+
+    head = load_head(context.folder / TRACKED_HEAD)
     tracking = Tracking(**read_tracking(context.folder / TRACKED))
     numbers = list(context.results["tracking"]["numbers"])
     reason = why_not(context.options, len(numbers))
     if reason is not None:
         write_npz(context.folder / TRACKING, tracking.arrays())
+        save_head(head, context.folder / HEAD)
         if context.options.refine != "no":
             context.reporter.note(f"the tracking is not refined against the pictures: {reason}")
         return {"refined": False, "reason": reason}
-    report = _refine(context, tracking, numbers)
-    context.reporter.note(in_words(report))
-    return {"refined": True, **report}
+    found = _refine(context, head, tracking, numbers)
+    write_npz(context.folder / TRACKING, found.tracking.arrays())
+    save_head(found.head, context.folder / HEAD)
+    context.reporter.note(in_words(found.report))
+    return {"refined": True, **found.report}
 
 
 def why_not(options: PrepOptions, frames: int) -> str | None:
@@ -65,8 +75,7 @@ def in_words(report: Mapping[str, Any]) -> str:
     )
 
 
-def _refine(context: StageContext, tracking: Tracking, numbers: list[int]) -> dict[str, Any]:
-    from ggavatar.head.files import load_head
+def _refine(context: StageContext, head: HeadModel, tracking: Tracking, numbers: list[int]) -> Refined:
     from preprocess.refinement.pictures import face_points, read_pictures
     from preprocess.refinement.refine import refine
 
@@ -75,12 +84,10 @@ def _refine(context: StageContext, tracking: Tracking, numbers: list[int]) -> di
         return read_rgb(context.folder / "images" / name), read_gray(context.folder / "masks" / name)
 
     rows = evenly_spaced(len(numbers), PICTURES).tolist()
-    head, fps = load_head(context.folder / HEAD), float(context.results["evidence"]["fps"])
+    fps = float(context.results["evidence"]["fps"])
     with one_torch_thread():
         pictures = read_pictures(rows, read, SIDE, lambda row: face_points(head, tracking, row))
-        found = refine(head, tracking, pictures, fps, advance=context.reporter.advance)
-    write_npz(context.folder / TRACKING, found.tracking.arrays())
-    return found.report
+        return refine(head, tracking, pictures, fps, advance=context.reporter.advance)
 
 
-STAGE = Stage("refinement", "Refining", inputs, run, outputs=(TRACKING,))
+STAGE = Stage("refinement", "Refining", inputs, run, outputs=(TRACKING, HEAD))

@@ -18,7 +18,7 @@ from preprocess.refinement.curvature import mean_information
 from preprocess.refinement.landmarks import LandmarkTerm
 from preprocess.refinement.pictures import Pictures
 from preprocess.refinement.rigid_steps import RIGID
-from preprocess.refinement.shape import ShapeModes, compensation, shape_step
+from preprocess.refinement.shape import UNIT, ShapeModes, compensation, shape_step
 from preprocess.refinement.short_avatar import ShortAvatar
 from preprocess.refinement.solve import Regularity, regularity, smooth_step
 from preprocess.tracking.geometry.rigid import evenly_spaced
@@ -113,9 +113,10 @@ def refine(
         misfits.append(found.misfit)
         advance(options.warm_epochs + epoch + 1, total)
     moved = finished(corrections.moved(tracking, values), tracking)
-    return Refined(
-        moved, avatar.head, tuple(misfits), report_of(pictures, tracking, moved, corrections.split(values), misfits)
-    )
+    report = report_of(pictures, tracking, moved, corrections.split(values), misfits)
+    if modes is not None:
+        report["depth_mm_at_80_mm"] = [round(1000 * UNIT * value, 2) for value in shape.tolist()]
+    return Refined(moved, avatar.head, tuple(misfits), report)
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def quick(long_enough, monkeypatch):
         calls.append((head.version, len(pictures.rows), pictures.size, fps))
         views = tracking.world_to_camera.copy()
         views[:, 0, 3] += 0.002
-        return refinement.Refined(dataclasses.replace(tracking, world_to_camera=views), (2.0, 1.0), dict(REPORT))
+        return refinement.Refined(dataclasses.replace(tracking, world_to_camera=views), head, (2.0, 1.0), dict(REPORT))
 
     monkeypatch.setattr(refinement, "refine", shifted)
     return calls
