@@ -1,4 +1,4 @@
-"""Seventh stage: tracking and head model are refined against the pictures, or taken over as they are."""
+"""Seventh stage: the tracking is refined against the pictures, or taken over as it is."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import numpy as np
 
 from ggavatar.data.capture import HEAD, TRACKING, Tracking
 from ggavatar.data.capture_schema import read_tracking
-from ggavatar.head.model import HeadModel
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage, StageContext
-from preprocess.pipeline.tracking_stage import TRACKED, TRACKED_HEAD
+from preprocess.pipeline.tracking_stage import TRACKED
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.geometry.rigid import evenly_spaced
 
@@ -35,22 +34,17 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write tracking.npz and head.npz, refined or as tracked; the result says which, and why not."""
-    from ggavatar.head.files import load_head, save_head
-
-    head = load_head(context.folder / TRACKED_HEAD)
+    """Write tracking.npz, refined or as tracked; the result says which, and why not."""
     tracking = Tracking(**read_tracking(context.folder / TRACKED))
     numbers = list(context.results["tracking"]["numbers"])
     reason = why_not(context.options, len(numbers))
     if reason is not None:
         write_npz(context.folder / TRACKING, tracking.arrays())
-        save_head(head, context.folder / HEAD)
         if context.options.refine != "no":
             context.reporter.note(f"the tracking is not refined against the pictures: {reason}")
         return {"refined": False, "reason": reason}
-    found = _refine(context, head, tracking, numbers)
+    found = _refine(context, tracking, numbers)
     write_npz(context.folder / TRACKING, found.tracking.arrays())
-    save_head(found.head, context.folder / HEAD)
     context.reporter.note(in_words(found.report))
     return {"refined": True, **found.report}
 
@@ -75,7 +69,8 @@ def in_words(report: Mapping[str, Any]) -> str:
     )
 
 
-def _refine(context: StageContext, head: HeadModel, tracking: Tracking, numbers: list[int]) -> Refined:
+def _refine(context: StageContext, tracking: Tracking, numbers: list[int]) -> Refined:
+    from ggavatar.head.files import load_head
     from preprocess.refinement.pictures import face_points, read_pictures
     from preprocess.refinement.refine import refine
 
@@ -84,10 +79,10 @@ def _refine(context: StageContext, head: HeadModel, tracking: Tracking, numbers:
         return read_rgb(context.folder / "images" / name), read_gray(context.folder / "masks" / name)
 
     rows = evenly_spaced(len(numbers), PICTURES).tolist()
-    fps = float(context.results["evidence"]["fps"])
+    head, fps = load_head(context.folder / HEAD), float(context.results["evidence"]["fps"])
     with one_torch_thread():
         pictures = read_pictures(rows, read, SIDE, lambda row: face_points(head, tracking, row))
         return refine(head, tracking, pictures, fps, advance=context.reporter.advance)
 
 
-STAGE = Stage("refinement", "Refining", inputs, run, outputs=(TRACKING, HEAD))
+STAGE = Stage("refinement", "Refining", inputs, run, outputs=(TRACKING,))

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from ggavatar.data.capture import Tracking
+from ggavatar.data.capture import HEAD, Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.flame import JOINT_NAMES, is_flame
 from ggavatar.head.model import HeadModel
@@ -30,8 +30,8 @@ from preprocess.tracking.sequence import TrackedSequence
 from preprocess.tracking.torso.torso import track_torso
 from preprocess.video.crop import crop_from_json
 
-TRACKED, TRACKED_HEAD = f"{RECORDS}/tracked.npz", f"{RECORDS}/tracked_head.npz"
-"""Tracking and head model before they are refined."""
+TRACKED = f"{RECORDS}/tracked.npz"
+"""The tracking before it is refined."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
@@ -54,14 +54,14 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write the tracking and its head model; the result lists the frames they cover and reports where they came from."""
+    """Write the tracking and head.npz; the result lists the frames they cover and says where they are from."""
     from ggavatar.head.files import save_head
 
     numbers = list(context.results["masks"]["numbers"])
     with one_torch_thread():
         numbers, sequence = (_imported if context.options.tracking else _tracked)(context, numbers)
     write_npz(context.folder / TRACKED, sequence.tracking.arrays())
-    save_head(sequence.head, context.folder / TRACKED_HEAD)
+    save_head(sequence.head, context.folder / HEAD)
     for warning in sequence.report.get("warnings", ()):
         context.reporter.warn(str(warning))
     return {"numbers": numbers, "version": sequence.head.version, "report": dict(sequence.report)}
@@ -304,4 +304,4 @@ def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 
 
-STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKED, TRACKED_HEAD), version=12)
+STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKED, HEAD), version=12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,8 +18,6 @@ from preprocess.refinement.corrections import Corrections, corrections_of
 from preprocess.refinement.curvature import mean_information
 from preprocess.refinement.landmarks import LandmarkTerm
 from preprocess.refinement.pictures import Pictures
-from preprocess.refinement.rigid_steps import RIGID
-from preprocess.refinement.shape import UNIT, ShapeModes, compensation, shape_step
 from preprocess.refinement.short_avatar import ShortAvatar
 from preprocess.refinement.solve import Regularity, regularity, smooth_step
 from preprocess.tracking.geometry.rigid import evenly_spaced
@@ -31,12 +30,14 @@ SAMPLED = 12
 class RefinementOptions:
     """Length of the refinement."""
 
-    warm_epochs: int = 2
-    """Passes over the pictures in which only the avatar learns."""
+    warm_steps: int = 400
+    """Least number of steps in which only the avatar learns; a blurred one would mislead. They are whole passes."""
     epochs: int = 8
     """Passes in which the tracking moves too, once at the end of each."""
     relaxation: float = 1.5
     """Factor on the steps of all passes but the last two: avatar and tracking follow each other, which is slow."""
+    longest: float = 4.0
+    """Longest step of a pass, in units of the corrections: the quadratic model holds for no more."""
     measured: tuple[int, ...] = (0, 2, 5)
     """Passes before which the pictures' information is measured."""
 
@@ -47,13 +48,11 @@ class Refined:
 
     Attributes:
         tracking: The refined one.
-        head: The head model; one that our tracker made has its depth corrected.
         misfits: Mean misfit of every pass.
         report: For the capture, as plain JSON values.
     """
 
     tracking: Tracking
-    head: HeadModel
     misfits: tuple[float, ...]
     report: dict[str, Any]
 
@@ -79,17 +78,16 @@ def refine(
         advance: Called with the passes done and in all.
     """
     corrections = corrections_of(head, tracking)
-    landmarks, modes = LandmarkTerm.of(head, tracking), ShapeModes.of(head)
-    shape = np.zeros(0 if modes is None else len(modes.modes))
-    total = options.warm_epochs + options.epochs
+    landmarks = LandmarkTerm.of(head, tracking)
+    warm = math.ceil(options.warm_steps / len(pictures.rows))
+    total = warm + options.epochs
     avatar = ShortAvatar(head, tracking, pictures, total * len(pictures.rows))
     values, misfits = np.zeros((len(tracking.expression), corrections.count)), []
-    for done in range(options.warm_epochs):
+    for done in range(warm):
         misfits.append(avatar.epoch(tracking, with_gradients=False).misfit)
         advance(done + 1, total)
     for epoch in range(options.epochs):
         if epoch == 0 or epoch in options.measured:
-            landmarks = LandmarkTerm.of(avatar.head, corrections.moved(tracking, values))
             known = _measured(avatar, landmarks, tracking, corrections, values, fps)
         moved = corrections.moved(tracking, values)
         found = avatar.epoch(moved, with_gradients=True)
@@ -98,25 +96,13 @@ def refine(
         )
         gradient = corrections.pulled_back(tracking, values, gradients)
         factor = 1.0 if epoch >= options.epochs - 2 else options.relaxation
-        values = values + factor * smooth_step(values, known.information, gradient, known.regularity)
-        if modes is not None:
-            step, followed = shape_step(
-                compensation(modes, avatar.head, moved, corrections.blocks[0]),
-                shape,
-                modes.pulled_back(found.template),
-                gradient[:, :RIGID],
-                known.picture[:RIGID, :RIGID],
-                pictures.rows,
-            )
-            shape, values[:, :RIGID] = shape + factor * step, values[:, :RIGID] + factor * followed
-            avatar.reshape(modes.head(head, shape))
+        step = factor * smooth_step(values, known.information, gradient, known.regularity)
+        values = values + step * min(1.0, options.longest / max(float(np.abs(step).max()), 1e-9))
         misfits.append(found.misfit)
-        advance(options.warm_epochs + epoch + 1, total)
+        advance(warm + epoch + 1, total)
     moved = finished(corrections.moved(tracking, values), tracking)
     report = report_of(pictures, tracking, moved, corrections.split(values), misfits)
-    if modes is not None:
-        report["depth_mm_at_80_mm"] = [round(1000 * UNIT * value, 2) for value in shape.tolist()]
-    return Refined(moved, avatar.head, tuple(misfits), report)
+    return Refined(moved, tuple(misfits), report)
 
 
 @dataclass(frozen=True)
@@ -124,7 +110,6 @@ class _Known:
     """What every frame tells about its corrections, and what is known without it."""
 
     information: Float[np.ndarray, "T C C"]
-    picture: Float[np.ndarray, "C C"]
     regularity: Regularity
 
 
@@ -147,7 +132,7 @@ def _measured(
         typical = typical + face
         total[[row for row in avatar.pictures.rows if landmarks.found[row]]] += face
     stds, cutoffs = corrections.per_number("prior"), corrections.per_number("cutoff")
-    return _Known(total, picture, regularity(typical, stds, cutoffs, fps))
+    return _Known(total, regularity(typical, stds, cutoffs, fps))
 
 
 def _sum(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

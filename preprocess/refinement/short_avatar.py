@@ -6,7 +6,6 @@ and that is what corrects the tracking.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,12 +46,10 @@ class EpochResult:
     Attributes:
         misfit: Mean of `objective.misfit` before each step.
         gradients: Of the misfit with respect to the arrays of the tracking, by name; zero in rows without a picture.
-        template: Of the misfit of all pictures with respect to the head's template.
     """
 
     misfit: float
     gradients: dict[str, np.ndarray]
-    template: np.ndarray
 
 
 class ShortAvatar:
@@ -91,10 +88,6 @@ class ShortAvatar:
         self.avatar = ggavatar.build(CONFIG, scene)
         self._epochs = self._steps = 0
 
-    def reshape(self, head: HeadModel) -> None:
-        """Carry the Gaussians over to a head of the same triangles."""
-        self.head = self.avatar.head = head
-
     def draw(self, tracking: Tracking, row: int, leaves: Leaves | None = None) -> Rendering:
         """The rendering of a row of a tracking; differentiable in its `leaves`, if they are given."""
         drive, camera = self._posed(tracking, row, leaves)
@@ -110,8 +103,6 @@ class ShortAvatar:
         order = torch.randperm(len(self.pictures.rows), generator=seeded(SEED, 1, self._epochs)).tolist()
         self._epochs += 1
         self.avatar.train()
-        template = self.head.template.detach().clone().requires_grad_(with_gradients)
-        self.reshape(dataclasses.replace(self.head, template=template))
         sums = {name: np.zeros(array.shape) for name, array in Leaves.arrays(tracking).items()}
         total = 0.0
         for place in order:
@@ -121,9 +112,7 @@ class ShortAvatar:
             if with_gradients:
                 for name, gradient in leaves.gradients().items():
                     sums[name][row] = gradient
-        self.reshape(dataclasses.replace(self.head, template=template.detach()))
-        pulled = np.zeros(template.shape) if template.grad is None else template.grad.double().numpy()
-        return EpochResult(total / len(order), sums, pulled)
+        return EpochResult(total / len(order), sums)
 
     def _step(self, rendering: Rendering, place: int) -> float:
         """One update of the Gaussians from the rendering of a picture; returns the misfit."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def quick(long_enough, monkeypatch):
         calls.append((head.version, len(pictures.rows), pictures.size, fps))
         views = tracking.world_to_camera.copy()
         views[:, 0, 3] += 0.002
-        return refinement.Refined(dataclasses.replace(tracking, world_to_camera=views), head, (2.0, 1.0), dict(REPORT))
+        return refinement.Refined(dataclasses.replace(tracking, world_to_camera=views), (2.0, 1.0), dict(REPORT))
 
     monkeypatch.setattr(refinement, "refine", shifted)
     return calls
@@ -58,8 +59,8 @@ def test_a_short_clip_is_not_refined_and_says_why(clip, tmp_path, capsys):
 
 
 def test_the_rule():
-    options = PrepOptions(input="a.mp4", output_dir="a")
-    imported = dataclasses.replace(options, tracking="t")
+    options = PrepOptions(input=Path("a.mp4"), output_dir=Path("a"))
+    imported = dataclasses.replace(options, tracking=Path("t"))
     assert refine_stage.why_not(options, 48) is None
     assert refine_stage.why_not(options, 47) == "47 frames are too few, it takes 48"
     assert refine_stage.why_not(imported, 500) == "it was made elsewhere; --refine corrects it"
