@@ -44,6 +44,10 @@ def run(context: StageContext) -> Mapping[str, Any]:
             context.reporter.note(f"the tracking is not refined against the pictures: {reason}")
         return {"refined": False, "reason": reason}
     found = _refine(context, tracking, numbers)
+    if not found.settled:
+        write_npz(context.folder / TRACKING, tracking.arrays())
+        context.reporter.warn("the tracking is not refined: the short avatar and the tracking drifted apart")
+        return {"refined": False, "reason": "it did not settle"}
     write_npz(context.folder / TRACKING, found.tracking.arrays())
     context.reporter.note(in_words(found.report))
     return {"refined": True, **found.report}

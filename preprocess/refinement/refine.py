@@ -22,6 +22,8 @@ from preprocess.refinement.short_avatar import ShortAvatar
 from preprocess.refinement.solve import Regularity, regularity, smooth_step
 from preprocess.tracking.geometry.rigid import evenly_spaced
 
+FARTHEST = 3.0
+"""Median correction, in standard deviations of its prior, beyond which avatar and tracking have drifted apart."""
 SAMPLED = 12
 """Pictures whose information is averaged."""
 
@@ -49,11 +51,13 @@ class Refined:
     Attributes:
         tracking: The refined one.
         misfits: Mean misfit of every pass.
+        settled: Whether the corrections stayed within what a tracker gets wrong; if not, the tracking is as it was.
         report: For the capture, as plain JSON values.
     """
 
     tracking: Tracking
     misfits: tuple[float, ...]
+    settled: bool
     report: dict[str, Any]
 
 
@@ -100,9 +104,10 @@ def refine(
         values = values + step * min(1.0, options.longest / max(float(np.abs(step).max()), 1e-9))
         misfits.append(found.misfit)
         advance(warm + epoch + 1, total)
-    moved = finished(corrections.moved(tracking, values), tracking)
+    settled = bool(np.median(np.abs(values) / corrections.per_number("prior"), axis=0).max(initial=0.0) < FARTHEST)
+    moved = finished(corrections.moved(tracking, values), tracking) if settled else tracking
     report = report_of(pictures, tracking, moved, corrections.split(values), misfits)
-    return Refined(moved, tuple(misfits), report)
+    return Refined(moved, tuple(misfits), settled, report)
 
 
 @dataclass(frozen=True)

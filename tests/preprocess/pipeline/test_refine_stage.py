@@ -40,7 +40,7 @@ def quick(long_enough, monkeypatch):
         calls.append((head.version, len(pictures.rows), pictures.size, fps))
         views = tracking.world_to_camera.copy()
         views[:, 0, 3] += 0.002
-        return refinement.Refined(dataclasses.replace(tracking, world_to_camera=views), (2.0, 1.0), dict(REPORT))
+        return refinement.Refined(dataclasses.replace(tracking, world_to_camera=views), (2.0, 1.0), True, dict(REPORT))
 
     monkeypatch.setattr(refinement, "refine", shifted)
     return calls
@@ -104,6 +104,19 @@ def test_a_refined_capture_says_so_and_can_be_made_as_tracked_again(clip, tmp_pa
     assert run(clip, folder, "--resume") == 0
     assert shift(folder, clip) == pytest.approx(0.002, abs=1e-6) and len(quick) == 2
     assert run(clip, folder, "--resume") == 0 and len(quick) == 2
+
+
+def test_a_refinement_that_does_not_settle_is_not_kept(clip, tmp_path, capsys, quick, monkeypatch):
+    settled = refinement.refine
+
+    def drifted(*arguments, **options):
+        return dataclasses.replace(settled(*arguments, **options), settled=False)
+
+    monkeypatch.setattr(refinement, "refine", drifted)
+    assert run(clip, tmp_path / "c") == 0
+    assert "drifted apart" in capsys.readouterr().err
+    assert Capture.open(tmp_path / "c").source["refinement"] == {"refined": False, "reason": "it did not settle"}
+    assert shift(tmp_path / "c", clip) == pytest.approx(0, abs=1e-6)
 
 
 def test_an_interrupted_refinement_is_resumed(clip, tmp_path, capsys, quick, monkeypatch):
