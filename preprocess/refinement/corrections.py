@@ -7,7 +7,6 @@ prior about the tracked value and a fastest motion.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,14 +138,8 @@ class Corrections:
         return result
 
 
-def corrections_of(head: HeadModel, tracking: Tracking, skip: Sequence[str] = ()) -> Corrections:
-    """The corrections that a head and its tracking allow.
-
-    Args:
-        head: The head model.
-        tracking: As tracked.
-        skip: Names of blocks to leave out.
-    """
+def corrections_of(head: HeadModel, tracking: Tracking) -> Corrections:
+    """The corrections that a head and its tracking allow."""
     neck = Neck.of(head)
     joints = tuple(head.joint_names.index(n) if n in head.joint_names else -1 for n in ("jaw", "left_eye", "right_eye"))
     components = expression_components(head, tracking, neck is not None)
@@ -165,7 +158,7 @@ def corrections_of(head: HeadModel, tracking: Tracking, skip: Sequence[str] = ()
     if bool(head.eyelid_basis.any()):
         blocks.append(Block("eyelids", (0.1, 0.1), 1.5, 9.0))
     return Corrections(
-        tuple(block for block in blocks if block.name not in skip),
+        tuple(blocks),
         components,
         pivot,
         head_origins(head, tracking),
@@ -194,6 +187,8 @@ def expression_components(head: HeadModel, tracking: Tracking, has_neck: bool) -
         has_neck: Whether the last code is the length of the neck, which belongs to the torso.
     """
     codes = tracking.expression - tracking.expression.mean(axis=0)
+    if not codes.any():
+        return np.zeros((0, codes.shape[1]))
     basis = head.expression_basis.double().numpy().reshape(-1, codes.shape[1]).copy()
     if has_neck:
         basis[:, -1] = 0.0
