@@ -21,6 +21,8 @@ from preprocess.refinement.rigid_steps import stepped
 DEGREE = np.pi / 180
 CHANGED = ("world_to_camera", "expression", "joint_rotations", "eyelids", "torso_to_camera")
 """Arrays of a tracking that corrections change."""
+JOINTS = ("jaw", "left_eye", "right_eye")
+"""Joints that corrections turn."""
 EXPRESSIONS = 16
 """Largest number of corrected expression components."""
 
@@ -141,7 +143,7 @@ class Corrections:
 def corrections_of(head: HeadModel, tracking: Tracking) -> Corrections:
     """The corrections that a head and its tracking allow."""
     neck = Neck.of(head)
-    joints = tuple(head.joint_names.index(n) if n in head.joint_names else -1 for n in ("jaw", "left_eye", "right_eye"))
+    jaw, left, right = (head.joint_names.index(n) if n in head.joint_names else -1 for n in JOINTS)
     components = expression_components(head, tracking, neck is not None)
     pivot = neck.joints.lower if neck else (head.joint_regressor @ head.template)[0].double().numpy()
     turn, across, along = 0.5 * DEGREE, 0.001, 0.004
@@ -151,9 +153,9 @@ def corrections_of(head: HeadModel, tracking: Tracking) -> Corrections:
     ]
     if neck is not None or tracking.torso_to_camera is not None:
         blocks.append(Block("torso", (turn, turn, turn, across, across, along), 4.0, 2.5))
-    if joints[0] >= 0:
+    if jaw >= 0:
         blocks.append(Block("jaw", (DEGREE, DEGREE), 2.0, 6.0))
-    if min(joints[1:]) >= 0:
+    if min(left, right) >= 0:
         blocks.append(Block("gaze", (2 * DEGREE, 2 * DEGREE), 2.0, 6.0))
     if bool(head.eyelid_basis.any()):
         blocks.append(Block("eyelids", (0.1, 0.1), 1.5, 9.0))
@@ -163,7 +165,7 @@ def corrections_of(head: HeadModel, tracking: Tracking) -> Corrections:
         pivot,
         head_origins(head, tracking),
         neck,
-        joints,
+        (jaw, left, right),
     )
 
 

@@ -59,8 +59,8 @@ class Neck:
         torso: Float[np.ndarray, "T 4 4"],
     ) -> tuple[Float[np.ndarray, "T E"], Float[np.ndarray, "T J 3"]]:
         """Expression and joint rotations with the neck's motion replaced by that which brings the torso to its pose."""
-        poses = (RigidPoses(pose[:, :3, :3], pose[:, :3, 3]) for pose in (torso, head))
-        motion = neck_motion(*poses, self.joints)
+        at_torso, at_head = (RigidPoses(pose[:, :3, :3], pose[:, :3, 3]) for pose in (torso, head))
+        motion = neck_motion(at_torso, at_head, self.joints)
         expression, rotations = expression.copy(), rotations.copy()
         expression[:, -1] = motion.stretch / NECK_UNIT
         rotations[:, self.upper], rotations[:, self.lower] = motion.upper, motion.lower

@@ -82,7 +82,7 @@ class ShortAvatar:
             steps=steps,
             seed=SEED,
             max_gaussians=len(head.faces),
-            samples=tuple(Frame(*posed[place], *pictures.picture(place)[:2]) for place in chosen),
+            samples=tuple(self._sample(*posed[place], place) for place in chosen),
             rasterize=self._rasterize,
         )
         self.avatar = ggavatar.build(CONFIG, scene)
@@ -130,6 +130,10 @@ class ShortAvatar:
         for optimizer in avatar.optimizers():
             optimizer.zero_grad(set_to_none=True)
         return float(difference.item())
+
+    def _sample(self, drive: Drive, camera: Camera, place: int) -> Frame:
+        colors, coverage, _ = self.pictures.picture(place)
+        return Frame(drive, camera, colors, coverage)
 
     def _posed(self, tracking: Tracking, row: int, leaves: Leaves | None) -> tuple[Drive, Camera]:
         values = leaves or Leaves.of(tracking, row, wanted=False)
