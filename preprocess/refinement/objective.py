@@ -1,6 +1,6 @@
 """How well a rendering fits a picture: a robust difference of colors and coverage, weighted by pixel.
 
-The person counts more than what is around it, and the face more than hair and clothes, which move on their own.
+The person counts more than what is around it; hair and clothes, which move on their own, can count less than the face.
 """
 
 from __future__ import annotations
@@ -11,8 +11,12 @@ from torch import Tensor
 
 from ggavatar.core import Rendering
 
-OUTSIDE, BESIDE = 0.1, 0.2
-"""Weights of a pixel without the person, and of one of the person beside the face, whose weight is 1."""
+OUTSIDE, BESIDE = 0.2, 1.0
+"""Weights of a pixel without the person, and of one of the person beside the face, whose weight is 1.
+
+Beside the face, 0.2 gave better poses under long hair and no pictures were trained with it
+(docs/experiments/2026-11-30-photometric-refinement.md).
+"""
 NOISE = 0.05
 """Differences above this are outliers, sRGB."""
 CORRELATED = 16.0

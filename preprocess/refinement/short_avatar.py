@@ -82,7 +82,7 @@ class ShortAvatar:
             steps=steps,
             seed=SEED,
             max_gaussians=len(head.faces),
-            samples=tuple(self._sample(*posed[place], place) for place in chosen),
+            samples=tuple(self._sample(posed[place], place) for place in chosen),
             rasterize=self._rasterize,
         )
         self.avatar = ggavatar.build(CONFIG, scene)
@@ -131,9 +131,9 @@ class ShortAvatar:
             optimizer.zero_grad(set_to_none=True)
         return float(difference.item())
 
-    def _sample(self, drive: Drive, camera: Camera, place: int) -> Frame:
+    def _sample(self, posed: tuple[Drive, Camera], place: int) -> Frame:
         colors, coverage, _ = self.pictures.picture(place)
-        return Frame(drive, camera, colors, coverage)
+        return Frame(posed[0], posed[1], colors, coverage)
 
     def _posed(self, tracking: Tracking, row: int, leaves: Leaves | None) -> tuple[Drive, Camera]:
         values = leaves or Leaves.of(tracking, row, wanted=False)

@@ -32,11 +32,11 @@ def pictures():
 
 
 def test_weights_are_those_of_face_person_and_surroundings():
-    """1, 0.2 and 0.1; half covered pixels are half way."""
+    """1, 1 and 0.2; half covered pixels are half way."""
     coverage = torch.tensor([1.0, 1.0, 0.0, 0.5]).view(1, 4, 1)
     face = torch.tensor([True, False, False, True]).view(1, 4, 1)
-    torch.testing.assert_close(pixel_weights(coverage, face).flatten(), torch.tensor([1.0, 0.2, 0.1, 0.55]))
-    torch.testing.assert_close(pixel_weights(coverage, ~face).flatten()[[0, 3]], torch.tensor([0.2, 0.15]))
+    torch.testing.assert_close(pixel_weights(coverage, face).flatten(), torch.tensor([1.0, 1.0, 0.2, 0.6]))
+    torch.testing.assert_close(pixel_weights(coverage, ~face).flatten()[[0, 3]], torch.tensor([1.0, 0.6]))
 
 
 def test_misfit_is_charbonniers_penalty():
