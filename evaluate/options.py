@@ -70,7 +70,7 @@ class Folders:
     """Seed of the training, to tell several runs apart in the table."""
 
 
-Difference = Literal["ground-truth", "protocol", "method", "preset", "length", "features", "settings"]
+Difference = Literal["ground-truth", "protocol", "method", "preset", "length", "features", "settings", "tracking"]
 """What can make an earlier result incomparable."""
 
 
@@ -90,7 +90,7 @@ class Gates:
     unless they are named."""
     allow_other: tuple[Difference, ...] = ()
     """What may differ from --compare (exit code 2 otherwise): ground-truth protocol method preset length features
-    settings."""
+    settings tracking."""
     write_baseline: Path | None = None
     """Write the means to this file, for --compare in later calls, if no check has failed."""
     junit: Path | None = None

@@ -7,7 +7,7 @@ sRGB in [0, 1].
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -61,6 +61,12 @@ class Drive:
     head_to_camera: Float[Tensor, "4 4"]
     frame: int | None = None
     torso_to_camera: Float[Tensor, "4 4"] | None = None
+
+    @property
+    def requires_grad(self) -> bool:
+        """Whether gradients are wanted with respect to one of its values, as when a tracking is refined."""
+        values = (getattr(self, item.name) for item in fields(self))
+        return any(isinstance(value, Tensor) and value.requires_grad for value in values)
 
 
 @dataclass(frozen=True)

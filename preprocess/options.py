@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -110,6 +110,12 @@ class PrepOptions:
 
     overwrite: bool = False
     """Replace an existing capture that was made by this command."""
+
+    refine: Literal["auto", "yes", "no"] = "auto"
+    """Correct the tracking with a short avatar that draws the frames (about a minute); `--refine` alone is yes.
+
+    Auto corrects our own tracking and keeps an imported one; `--no-refine` keeps both.
+    """
 
     tracker: TrackingOptions = field(default_factory=TrackingOptions)
 

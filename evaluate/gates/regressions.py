@@ -9,6 +9,7 @@ from evaluate.gates.checks import Check, full_metric_name
 from evaluate.gates.tolerances import Tolerance, tolerance_of
 from evaluate.metrics.catalogue import metric_of
 from evaluate.protocols.results import Evaluation
+from evaluate.protocols.setup import NOT_RECORDED
 from ggavatar.errors import InputError
 
 RULE = "against baseline"
@@ -102,7 +103,7 @@ def differences(new: Baseline, old: Baseline) -> dict[str, str]:
         return found
     then, now = _setup_facts(old), _setup_facts(new)
     for name in then:
-        if then[name] != now[name]:
+        if then[name] != now[name] and not (name == "tracking" and NOT_RECORDED in (then[name], now[name])):
             found[name] = f"{name} ({then[name]} then, {now[name]} now)"
     return found
 
@@ -115,6 +116,7 @@ def _setup_facts(one: Baseline) -> dict[str, str]:
         "length": facts.get("length", "none"),
         "features": facts.get("perceptual loss", "none"),
         "settings": facts.get("changed settings", "none"),
+        "tracking": facts.get("tracking", "none"),
     }
 
 

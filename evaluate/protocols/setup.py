@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 Origin = Literal["run", "gaussian file", "elsewhere", "not recorded"]
 NOT_RECORDED: Literal["not recorded"] = "not recorded"
+REFINED, AS_TRACKED = "refined", "as tracked"
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Setup:
         steps: Steps trained.
         perceptual_loss: Features of the perceptual loss: `vgg16`, `random`, `none`, or a name of an earlier version.
         changed: Settings that differ from the preset, by name.
+        tracking: `refined` if a short avatar corrected the capture's tracking against its pictures, else `as tracked`;
+            None if the capture does not say.
     """
 
     origin: Origin = NOT_RECORDED
@@ -31,6 +34,7 @@ class Setup:
     steps: int | None = None
     perceptual_loss: str | None = None
     changed: Mapping[str, Any] = field(default_factory=dict)
+    tracking: str | None = None
 
     @property
     def facts(self) -> dict[str, str]:
@@ -41,6 +45,7 @@ class Setup:
             "preset": self.preset or NOT_RECORDED,
             "length": NOT_RECORDED if self.steps is None else f"{self.steps} steps",
             "perceptual loss": self.perceptual_loss or NOT_RECORDED,
+            "tracking": self.tracking or NOT_RECORDED,
             "changed settings": ", ".join(f"{name}={_short(value)}" for name, value in self.changed.items()) or "none",
         }
 
@@ -55,6 +60,7 @@ class Setup:
             return others[self.origin]
         facts = self.facts
         words = f"preset {facts['preset']}, {facts['length']}, perceptual loss {facts['perceptual loss']}"
+        words += ", refined tracking" if self.tracking == REFINED else ""
         return f"{words}, {facts['changed settings']}" if self.changed else words
 
     def as_dict(self) -> dict[str, Any]:
@@ -72,10 +78,10 @@ def setup_from_dict(values: Mapping[str, Any]) -> Setup:
         return Setup()
     if values.get("origin") not in get_args(Origin):
         raise ValueError(f"setup: expected origin to be one of {', '.join(get_args(Origin))}, found {values}")
-    for name, kind in (("method", str), ("preset", str), ("steps", int), ("perceptual_loss", str)):
+    for name, kind in (("method", str), ("preset", str), ("steps", int), ("perceptual_loss", str), ("tracking", str)):
         if values.get(name) is not None and type(values[name]) is not kind:
             raise ValueError(f"setup: expected {name} to be {kind.__name__}, found {values[name]!r}")
-    known = {name: values.get(name) for name in ("method", "preset", "steps", "perceptual_loss")}
+    known = {name: values.get(name) for name in ("method", "preset", "steps", "perceptual_loss", "tracking")}
     return Setup(values["origin"], changed=dict(values.get("changed") or {}), **known)
 
 

@@ -16,7 +16,7 @@ DIGEST_CHARACTERS = 16
 
 def sources_table(study: Study) -> Table:
     """One row per evaluation: how it was trained, its test frames and the SHA-256 of predictions and ground truth."""
-    titles = ("preset", "length", "perceptual loss", "test frames", "protocol digest", "renders", "ground truth")
+    titles = (*COMPARED, "test frames", "protocol digest", "renders", "ground truth")
     columns = tuple(Column(title) for title in titles)
     rows = tuple(Row(_label(run), _cells(run)) for run in study.evaluations)
     caption = f"What was scored under {study.protocol.id}: SHA-256 of the protocol and of the images."

@@ -9,7 +9,7 @@ from evaluate.protocols.results import Evaluation
 from evaluate.tables.study import Study
 from ggavatar.training.registry import table_notes
 
-COMPARED = ("preset", "length", "perceptual loss")
+COMPARED = ("preset", "length", "perceptual loss", "tracking")
 """Facts in which methods of one table should not differ unnoticed; changed settings are each method's own."""
 
 

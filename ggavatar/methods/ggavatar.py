@@ -269,6 +269,7 @@ class GGAvatar(nn.Module):
         """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
 
+<<<<<<< HEAD
     @torch.no_grad()
     def bound_parts(self) -> BoundParts:
         """The avatar as arrays; in the neutral phase, without expression and adjuster."""
@@ -296,8 +297,14 @@ class GGAvatar(nn.Module):
         )
 
     @torch.no_grad()
+=======
+>>>>>>> refinement
     def _local_frames(self, drive: Drive) -> TriangleFrames:
-        """Triangle frames (Eq. 4–5) of the neutral head or of the tracked head."""
+        """Triangle frames (Eq. 4–5) of the neutral or the tracked head; differentiable if the drive asks for it."""
+        with torch.set_grad_enabled(torch.is_grad_enabled() and drive.requires_grad):
+            return self._local_frames_of(drive)
+
+    def _local_frames_of(self, drive: Drive) -> TriangleFrames:
         neutral = self.is_neutral or not self.config.skinning
         if neutral and self.config.pose_on == "camera":
             return self.neutral_local_frames

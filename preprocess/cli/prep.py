@@ -25,7 +25,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parse(arguments: Sequence[str]) -> PrepOptions:
     import tyro
 
+<<<<<<< HEAD
     given = _protect_dashed_paths(arguments)
+=======
+    given = _refine_as_value(_protect_dashed_paths(sys.argv[1:] if arguments is None else arguments))
+>>>>>>> refinement
     handle_version_flag("ggavatar-prep", given)
     return tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
 
@@ -39,6 +43,19 @@ def _protect_dashed_paths(arguments: Sequence[str]) -> list[str]:
             Path(argument).exists() or (after_output and not argument.startswith("--"))
         )
         result.append(f"./{argument}" if dashed else argument)
+    return result
+
+
+def _refine_as_value(arguments: Sequence[str]) -> list[str]:
+    """`--refine` without a value and `--no-refine` as the values that they stand for; a flag has no third state."""
+    result: list[str] = []
+    for place, argument in enumerate(arguments):
+        if argument == "--no-refine":
+            result += ["--refine", "no"]
+        elif argument == "--refine" and not (set(arguments[place + 1 : place + 2]) & {"auto", "yes", "no"}):
+            result += ["--refine", "yes"]
+        else:
+            result.append(argument)
     return result
 
 

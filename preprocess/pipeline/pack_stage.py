@@ -1,4 +1,4 @@
-"""Seventh stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
+"""Eighth stage: writes splits and capture.json, which make the folder a capture, and checks it by opening it."""
 
 from __future__ import annotations
 
@@ -100,10 +100,11 @@ def _provenance(context: StageContext) -> dict[str, Any]:
         "crop": context.results["crop"]["crop"],
         "masks": masks["name"],
         "tracking": {key: value for key, value in tracking["report"].items() if key != "warnings"},
+        "refinement": dict(context.results["refinement"]),
         "losses": source["losses"],
         "conversions": source["conversions"],
         "tool": f"ggavatar {tool}",
     }
 
 
-STAGE = Stage("pack", "Packing", inputs, run, outputs=("capture.json",), version=2)
+STAGE = Stage("pack", "Packing", inputs, run, outputs=("capture.json",), version=3)

@@ -21,6 +21,7 @@ from preprocess.pipeline import (
     mask_stage,
     pack_stage,
     read_stage,
+    refine_stage,
     tracking_stage,
 )
 from preprocess.pipeline.stage import (
@@ -45,6 +46,7 @@ STAGES = (
     evidence_stage.STAGE,
     mask_stage.STAGE,
     tracking_stage.STAGE,
+    refine_stage.STAGE,
     pack_stage.STAGE,
     doctor_stage.STAGE,
 )

@@ -10,7 +10,7 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from ggavatar.data.capture import HEAD, TRACKING, Tracking
+from ggavatar.data.capture import HEAD, Tracking
 from ggavatar.errors import InputError
 from ggavatar.head.flame import JOINT_NAMES, is_flame
 from ggavatar.head.model import HeadModel
@@ -24,11 +24,14 @@ from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.pipeline.face_stage import SURVEY
 from preprocess.pipeline.mask_stage import NO_MASK
-from preprocess.pipeline.stage import Stage, StageContext, file_state
+from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
 from preprocess.tracking.sequence import TrackedSequence
 from preprocess.tracking.torso.torso import track_torso
 from preprocess.video.crop import crop_from_json
+
+TRACKED = f"{RECORDS}/tracked.npz"
+"""The tracking before it is refined."""
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
@@ -51,13 +54,13 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write tracking.npz and head.npz; the result lists the frames they cover and reports where they came from."""
+    """Write the tracking and head.npz; the result lists the frames they cover and says where they are from."""
     from ggavatar.head.files import save_head
 
     numbers = list(context.results["masks"]["numbers"])
     with one_torch_thread():
         numbers, sequence = (_imported if context.options.tracking else _tracked)(context, numbers)
-    write_npz(context.folder / TRACKING, sequence.tracking.arrays())
+    write_npz(context.folder / TRACKED, sequence.tracking.arrays())
     save_head(sequence.head, context.folder / HEAD)
     for warning in sequence.report.get("warnings", ()):
         context.reporter.warn(str(warning))
@@ -301,4 +304,4 @@ def fit_columns(values: np.ndarray, count: int) -> np.ndarray:
     return np.pad(values[:, :count], ((0, 0), (0, max(0, count - values.shape[1]))))
 
 
-STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKING, HEAD), version=11)
+STAGE = Stage("tracking", "Tracking", inputs, run, outputs=(TRACKED, HEAD), version=12)

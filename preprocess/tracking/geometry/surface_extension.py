@@ -44,7 +44,7 @@ class SurfaceExtension:
         """Displacements of all vertices, in the unit and with the trailing shape of those given."""
         flat = displacements.reshape(len(displacements), -1)
         solved = self._solver.solve(np.ascontiguousarray(self._landmarks.T @ flat))
-        return solved.reshape(-1, *displacements.shape[1:])
+        return solved.reshape(len(solved), *displacements.shape[1:])
 
 
 def _laplacian(faces: np.ndarray, count: int) -> csr_array:

@@ -346,6 +346,19 @@ def test_the_setup_says_how_the_run_was_trained(run: Run) -> None:
     )
 
 
+def test_the_setup_says_whether_the_tracking_was_refined(run: Run) -> None:
+    """As the capture's `source` has it; captures of earlier versions do not say."""
+
+    def setup(source):
+        return setup_of_run(dataclasses.replace(run, capture=dataclasses.replace(run.capture, source=source)))
+
+    refined = setup({"refinement": {"refined": True, "pictures": 200}})
+    assert refined.tracking == "refined" and "refined tracking" in refined.describe()
+    assert setup({"refinement": {"refined": False, "reason": "--no-refine"}}).tracking == "as tracked"
+    for unknown in ({}, {"refinement": None}, {"refinement": {}}):
+        assert setup(unknown).tracking is None and "tracking" not in setup(unknown).describe()
+
+
 @pytest.mark.parametrize(
     ("provenance", "settings", "shown"),
     [

@@ -5,6 +5,7 @@ Also covers `evaluate/protocols/setup.py`.
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import re
@@ -68,6 +69,17 @@ def test_runs_of_different_presets_lengths_and_features_in_one_column_are_said()
     assert not any("Not alike" in note for table in alike for note in table.notes)
 
 
+def test_a_refined_tracking_is_named_and_told_from_one_as_tracked() -> None:
+    refined, plain = (dataclasses.replace(FAST, tracking=words) for words in ("refined", "as tracked"))
+    runs = [evaluation("Anna", "ggavatar", setup=refined), evaluation("Bert", "ggavatar", setup=plain)]
+    (note,) = [note for note in build_tables(runs)[0].notes if note.startswith("Not alike")]
+    assert "differ in tracking" in note and "perceptual loss random, refined tracking" in note
+    methods = [evaluation("Anna", "ggavatar", setup=refined), evaluation("Anna", "flash_avatar", setup=FLASH)]
+    assert any("the methods differ in tracking (GGAvatar refined" in note for note in build_tables(methods)[0].notes)
+    assert "tracking" in [column.title for column in build_tables(runs)[-1].columns]
+    assert setup_from_dict(refined.as_dict()) == refined
+
+
 def test_seeds_of_one_cell_that_were_trained_differently_are_said() -> None:
     longer = Setup("run", "ggavatar", "fast", 3000, "random")
     runs = [evaluation("Anna", "ggavatar", seed=k, setup=setup) for k, setup in enumerate((FAST, longer))]
@@ -120,7 +132,7 @@ def test_metrics_json_keeps_the_setup_and_the_console_shows_it(tmp_path: Path) -
     stored = json.loads((tmp_path / "metrics.json").read_text())["setup"]
     assert stored == {
         "origin": "run", "method": "ggavatar", "preset": "paper", "steps": 120_000, "perceptual_loss": "none",
-        "changed": {"rates": [1, 2]},
+        "changed": {"rates": [1, 2]}, "tracking": None,
     }  # fmt: skip
     assert read_results(tmp_path).setup == changed
     line = headline(made)

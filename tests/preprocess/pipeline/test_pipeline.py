@@ -89,9 +89,9 @@ def test_unchanged_stages_are_skipped_and_changed_ones_run(clip, tmp_path, capsy
     assert ": unchanged" not in said(capsys)
     before = (folder / "images" / "000005.png").stat().st_mtime_ns
     assert run(clip, folder, "--resume", loud=True) == 0
-    assert said(capsys).count(": unchanged") == 8
+    assert said(capsys).count(": unchanged") == 9
     assert run(clip, folder, "--resume", "--split", "last-5", loud=True) == 0
-    assert said(capsys).count(": unchanged") == 6
+    assert said(capsys).count(": unchanged") == 7
     assert (folder / "images" / "000005.png").stat().st_mtime_ns == before
     assert len(Capture.open(folder).splits["last-5"].test) == 5
     assert run(clip, folder, "--resume", "--split", "last-5", size=64, loud=True) == 0
@@ -115,7 +115,7 @@ def test_what_skipped_stages_assumed_is_said_again(clip, tmp_path, capsys):
     first = messages(capsys.readouterr().err)
     assert any("levels 0 (background) and 1 (person)" in line for line in first)
     assert any("1 frames have no tracking" in line for line in first)
-    for more, unchanged in (((), 8), (("--split", "last-5"), 6)):
+    for more, unchanged in (((), 9), (("--split", "last-5"), 7)):
         assert run(clip, folder, "--resume", *more, masks=masks, tracking=tracking, loud=True) == 0
         text = capsys.readouterr().err
         assert text.count(": unchanged") == unchanged and messages(text) == first
