@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-<<<<<<< HEAD
-from evaluate.protocols.setup import Setup
-from ggavatar.text.names import clean_text, clean_values
-=======
 from evaluate.protocols.setup import AS_TRACKED, REFINED, Setup
->>>>>>> refinement
+from ggavatar.text.names import clean_text, clean_values
 from ggavatar.training.changed_settings import changed_settings
 from ggavatar.training.run_folder import Run
 
@@ -19,14 +15,11 @@ def setup_of_run(run: Run) -> Setup:
     """The setup of an opened run or of a file of Gaussians opened as one."""
     if "file" in run.provenance:
         return Setup("gaussian file")
-<<<<<<< HEAD
     features = perceptual_features(run.provenance, run.config.perceptual_features)
-    changed = clean_values(dict(changed_settings(run.config)))
-    return Setup("run", run.config.method, clean_text(run.config.preset), run.step, clean_text(features), changed)
-=======
-    features = perceptual_features(run.provenance, run.config.method_config)
-    changed, tracking = changed_settings(run.config), tracking_of(run.capture.source)
-    return Setup("run", run.config.method, run.config.preset, run.step, features, changed, tracking)
+    changed, tracking = clean_values(dict(changed_settings(run.config))), tracking_of(run.capture.source)
+    return Setup(
+        "run", run.config.method, clean_text(run.config.preset), run.step, clean_text(features), changed, tracking
+    )
 
 
 def tracking_of(source: Mapping[str, Any]) -> str | None:
@@ -35,7 +28,6 @@ def tracking_of(source: Mapping[str, Any]) -> str | None:
     if not isinstance(found, Mapping) or "refined" not in found:
         return None
     return REFINED if found["refined"] else AS_TRACKED
->>>>>>> refinement
 
 
 def perceptual_features(provenance: Mapping[str, Any], wanted: Any) -> str:

@@ -269,7 +269,6 @@ class GGAvatar(nn.Module):
         """Notes for provenance.json: the features of the perceptual loss."""
         return self.perceptual.notes()
 
-<<<<<<< HEAD
     @torch.no_grad()
     def bound_parts(self) -> BoundParts:
         """The avatar as arrays; in the neutral phase, without expression and adjuster."""
@@ -296,9 +295,6 @@ class GGAvatar(nn.Module):
             sees_pose=config.condition == "face_and_pose",
         )
 
-    @torch.no_grad()
-=======
->>>>>>> refinement
     def _local_frames(self, drive: Drive) -> TriangleFrames:
         """Triangle frames (Eq. 4–5) of the neutral or the tracked head; differentiable if the drive asks for it."""
         with torch.set_grad_enabled(torch.is_grad_enabled() and drive.requires_grad):

@@ -25,11 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parse(arguments: Sequence[str]) -> PrepOptions:
     import tyro
 
-<<<<<<< HEAD
-    given = _protect_dashed_paths(arguments)
-=======
-    given = _refine_as_value(_protect_dashed_paths(sys.argv[1:] if arguments is None else arguments))
->>>>>>> refinement
+    given = _refine_as_value(_protect_dashed_paths(arguments))
     handle_version_flag("ggavatar-prep", given)
     return tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
 
