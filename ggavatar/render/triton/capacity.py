@@ -1,0 +1,79 @@
+"""How much memory pairs of Gaussian and tile get, and what renderings report without anyone waiting for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+FIRST_GUESS = 8.0
+"""Pairs per Gaussian before a rendering has told."""
+
+HEADROOM = 1.5
+"""Capacity as a multiple of the pairs of a rendering."""
+
+STEP = 4096
+"""Capacities are multiples of this, so that memory is reused when the number of Gaussians changes a little."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a rendering tells when it is done.
+
+    Attributes:
+        size: Width and height of the image, px.
+        rows: Number of Gaussians.
+        capacity: Pairs that there was memory for.
+        pairs: Pairs that there were.
+        faults: Bits of the inputs that were not finite, in the order of `FIELDS` and `VIEW_NAMES`.
+    """
+
+    size: tuple[int, int]
+    rows: int
+    capacity: int
+    pairs: int
+    faults: int
+
+
+class Reports:
+    """Reports of renderings; reading them never waits for the device, so that they may arrive some renderings late."""
+
+    def __init__(self) -> None:
+        self._travelling: list[tuple[Any, tuple[tuple[int, int], int, int], Tensor]] = []
+
+    def send(self, size: tuple[int, int], rows: int, capacity: int, status: Tensor) -> None:
+        """Start to copy a status to the host, unless another copy is under way or a graph is being captured."""
+        if self._travelling or (status.is_cuda and torch.cuda.is_current_stream_capturing()):
+            return
+        copy, event = status.to("cpu", non_blocking=True), None
+        if status.is_cuda:
+            event = torch.cuda.Event()
+            event.record()
+        self._travelling.append((event, (size, rows, capacity), copy))
+
+    def arrived(self) -> list[Report]:
+        """The reports that have arrived; each is returned once."""
+        if self._travelling and self._travelling[0][0] is not None:
+            if torch.cuda.is_current_stream_capturing() or not self._travelling[0][0].query():
+                return []
+        ready, self._travelling = self._travelling, []
+        return [Report(*about, *copy.tolist()) for _, about, copy in ready]
+
+
+class Capacity:
+    """The number of pairs that a rendering gets memory for, from what earlier ones of the same size had."""
+
+    def __init__(self) -> None:
+        self._per_gaussian: dict[tuple[int, int], float] = {}
+
+    def of(self, size: tuple[int, int], rows: int) -> int:
+        """Capacity for `rows` Gaussians in an image of `size`, at least one pair per Gaussian."""
+        wanted = max(1.0, self._per_gaussian.get(size, FIRST_GUESS)) * rows
+        return max(1, -(-int(wanted) // STEP)) * STEP
+
+    def learn(self, report: Report) -> None:
+        """Follow the number of pairs, if it comes close to the capacity or needs less than half of it."""
+        if report.rows and not 0.3 * report.capacity < report.pairs < 0.85 * report.capacity:
+            self._per_gaussian[report.size] = HEADROOM * report.pairs / report.rows

@@ -1,0 +1,159 @@
+"""The stages of the rasterizer: each allocates memory and launches kernels; none waits for the device."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ggavatar.jit import device_kernels
+from ggavatar.render.triton import drawing, gradient, pairs, projection, tile_gradient
+from ggavatar.render.triton.layout import POSE_SUMS, RECORD, STATUS, SUMS, TILE
+
+BLOCK = 128
+"""Gaussians, pairs or numbers a program."""
+
+NARROW_TILES = 32_767
+"""With up to this many tiles, their numbers are sorted as 16-bit integers, which takes half the passes."""
+
+
+class View(NamedTuple):
+    """A camera and a background as the kernels read them, and the sizes of the image in px and of harmonics.
+
+    `held` is the number of harmonics per channel, 0 for RGB, and `degree` the highest one to evaluate.
+    """
+
+    pose: Tensor
+    intrinsics: Tensor
+    background: Tensor
+    width: int
+    height: int
+    held: int
+    degree: int
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Tiles across and down."""
+        return -(-self.width // TILE.value), -(-self.height // TILE.value)
+
+
+class Footprints(NamedTuple):
+    """The output of projection (`ggavatar.render.triton.projection`)."""
+
+    records: Tensor
+    radii: Tensor
+    depths: Tensor
+    boxes: Tensor
+    counts: Tensor
+
+
+class Lists(NamedTuple):
+    """Pairs of Gaussian and tile, in order of tiles and then of depth.
+
+    `order` [N] are the Gaussians by depth and `ends` [N] their cumulated counts; `places` [capacity] is where a pair was
+    before it was sorted by tile, `entries` [capacity] its Gaussian; `starts` [tiles + 1].
+    """
+
+    order: Tensor
+    ends: Tensor
+    places: Tensor
+    entries: Tensor
+    starts: Tensor
+
+
+class Canvas(NamedTuple):
+    """Image [H, W, 3], alpha and depth [H, W, 1], and the transmittance behind the last Gaussian."""
+
+    image: Tensor
+    alpha: Tensor
+    depth: Tensor
+    light: Tensor
+
+
+def project(view: View, cloud: tuple[Tensor, ...], means2d: Tensor) -> tuple[Footprints, Tensor]:
+    """Project Gaussians (means, quats, scales, opacities, colors); also writes `means2d`, and returns the status."""
+    rows, device = len(means2d), means2d.device
+    floats, numbers = {"device": device}, {"device": device, "dtype": torch.int32}
+    records, radii, depths = torch.empty(rows, RECORD.value, **floats), torch.empty(rows, **floats), None
+    depths = torch.empty(rows, **floats)
+    boxes, counts = torch.empty(rows, 4, **numbers), torch.empty(rows, **numbers)
+    status = torch.zeros(STATUS.value, **numbers)
+    device_kernels.launch(
+        projection.project_gaussians, -(-rows // BLOCK), *cloud, view.pose, view.intrinsics, view.background,
+        records, means2d, radii, depths, boxes, counts, status, rows, view.width, view.height,
+        HELD=view.held, DEGREE=view.degree, BLOCK=BLOCK,
+    )  # fmt: skip
+    return Footprints(records, radii, depths, boxes, counts), status
+
+
+def list_pairs(view: View, footprints: Footprints, capacity: int, status: Tensor) -> Lists:
+    """Sort Gaussians into the lists of tiles; pairs beyond the capacity are not listed."""
+    rows, device = len(footprints.counts), status.device
+    across, down = view.tiles
+    tiles = across * down
+    order = torch.sort(footprints.depths, stable=True).indices
+    ends = footprints.counts.index_select(0, order).cumsum(0)
+    kind = torch.int16 if tiles <= NARROW_TILES else torch.int32
+    pair_tiles = torch.empty(capacity, dtype=kind, device=device)
+    pair_rows, entries = torch.empty(2, capacity, dtype=torch.int32, device=device).unbind()
+    device_kernels.launch(
+        pairs.list_pairs, -(-capacity // BLOCK), order, ends, footprints.boxes, pair_tiles, pair_rows, status,
+        rows, across, tiles, capacity, rows.bit_length(), BLOCK=BLOCK,
+    )  # fmt: skip
+    sorted_tiles, places = torch.sort(pair_tiles, stable=True)
+    starts = torch.empty(tiles + 1, dtype=torch.int32, device=device)
+    device_kernels.launch(
+        pairs.finish_lists, -(-max(capacity, tiles + 1) // BLOCK), sorted_tiles, places, pair_rows, entries, starts,
+        capacity, tiles, capacity.bit_length(), BLOCK=BLOCK,
+    )  # fmt: skip
+    return Lists(order, ends, places, entries, starts)
+
+
+def draw(view: View, records: Tensor, lists: Lists) -> Canvas:
+    """Draw all tiles."""
+    shape = view.height, view.width
+    image, alpha, depth, light = (torch.empty(*shape, channels, device=records.device) for channels in (3, 1, 1, 1))
+    across, down = view.tiles
+    device_kernels.launch(
+        drawing.draw_tiles, across * down, records, lists.entries, lists.order, lists.starts, lists.ends,
+        view.background, image, alpha, depth, light,
+        len(records), len(lists.entries), view.width, view.height, across,
+    )  # fmt: skip
+    return Canvas(image, alpha, depth, light)
+
+
+def differentiate_tiles(
+    view: View, records: Tensor, lists: Lists, canvas: Canvas, upstream: tuple[Tensor | None, Tensor | None, Tensor | None]
+) -> Tensor:
+    """Sums [capacity, SUMS] over pixels, from the gradients of image, alpha and depth."""
+    rows, capacity = len(records), len(lists.entries)
+    sums = torch.empty(capacity, SUMS.value, device=records.device)
+    sums[:rows].zero_()  # what is added to, should the pairs have overflowed
+    given = [canvas.light if gradient is None else gradient for gradient in upstream]
+    across, down = view.tiles
+    device_kernels.launch(
+        tile_gradient.differentiate_tiles, across * down, records, lists.entries, lists.order, lists.places,
+        lists.starts, lists.ends, canvas.image, canvas.depth, canvas.light, *given, sums,
+        rows, capacity, view.width, view.height, across,
+        HAS_IMAGE=upstream[0] is not None, HAS_ALPHA=upstream[1] is not None, HAS_DEPTH=upstream[2] is not None, warps=8,
+    )  # fmt: skip
+    return sums
+
+
+def differentiate_gaussians(
+    view: View, cloud: tuple[Tensor, ...], footprints: Footprints, lists: Lists, sums: Tensor
+) -> tuple[list[Tensor], Tensor, Tensor]:
+    """Gradients of the Gaussians' tensors, of the projected centers, and of the pose."""
+    rows, programs = len(footprints.counts), -(-len(footprints.counts) // BLOCK)
+    gradients = [torch.empty_like(tensor) for tensor in cloud]
+    to_means2d, to_pose = sums.new_empty(rows, 2), torch.empty_like(view.pose)
+    to_poses = sums.new_empty(programs, POSE_SUMS.value)
+    device_kernels.launch(
+        gradient.differentiate_gaussians, programs, *cloud, view.pose, view.intrinsics,
+        footprints.records, lists.order, lists.ends, footprints.counts, footprints.radii, sums,
+        *gradients, to_means2d, to_poses, rows, len(lists.entries), view.width, view.height,
+        HELD=view.held, DEGREE=view.degree, BLOCK=BLOCK,
+    )  # fmt: skip
+    device_kernels.launch(gradient.finish_pose, 1, to_poses, view.pose, to_pose, programs, BLOCK=64)
+    return gradients, to_means2d, to_pose
