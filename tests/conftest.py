@@ -13,6 +13,12 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import torch
+
+# Without a GPU, Triton's kernels are interpreted on CPU tensors. Read when triton is imported.
+if not torch.cuda.is_available():
+    os.environ.setdefault("TRITON_INTERPRET", "1")
+
 # Tests use the model files that are here; those of downloading have a package index of their own.
 os.environ["GGAVATAR_OFFLINE"] = "1"
 

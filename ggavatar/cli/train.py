@@ -39,7 +39,7 @@ class Arguments:
     device: str | None = None
     """auto, cpu, cuda, cuda:N or mps."""
     backend: str | None = None
-    """Rasterizer: auto, cpu, reference or gsplat."""
+    """Rasterizer: auto, cpu, triton, gsplat or reference."""
     split: str | None = None
     """Frames to train and test on: every-20th (as in the paper), last-350, last-500, ratio-0.8 or file:PATH."""
     background: str | None = None

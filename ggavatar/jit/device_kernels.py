@@ -47,6 +47,18 @@ def _on_device_of(tensor: Tensor) -> contextlib.AbstractContextManager[Any]:
     return contextlib.nullcontext()
 
 
+def is_capturing() -> bool:
+    """Whether a CUDA graph is being captured, when nothing may be asked of the device."""
+    return torch.cuda.is_current_stream_capturing()
+
+
+def event_now() -> Any:
+    """An event that happens when the current CUDA device has done what was launched so far; see its `query()`."""
+    event = torch.cuda.Event()
+    event.record()
+    return event
+
+
 @functools.cache
 def missing(kind: str) -> str:
     """What keeps kernels from running on devices of a kind, with a remedy; empty if they run.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_kernel
 
-@triton.jit
+
+@device_kernel
 def count_up(numbers, SIZE: tl.constexpr):
-    """Write 0, 1, 2, …"""
+    """Write the numbers from 0 on."""
     index = tl.arange(0, SIZE)
     tl.store(numbers + index, index)

@@ -8,12 +8,14 @@ import torch
 
 from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import importable
 from ggavatar.text.terminal import write_err
 
 BACKENDS = {
     "reference": "ggavatar.render.reference",
     "cpu": "ggavatar.render.cpu.rasterizer",
+    "triton": "ggavatar.render.triton.rasterizer",
     "gsplat": "ggavatar.render.gsplat",
 }
 """Module of every backend, by name."""
@@ -24,8 +26,9 @@ def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
 
     Args:
         device: Device of the Gaussians.
-        backend: `reference`, `cpu` or `gsplat`; `auto` chooses gsplat on CUDA and the compiled rasterizer on a CPU. If
-            that one cannot be imported, it chooses the reference and says on stderr how to install the faster one.
+        backend: `reference`, `cpu`, `triton` or `gsplat`; `auto` chooses triton on CUDA, or gsplat where Triton cannot
+            run, and the compiled rasterizer on a CPU. If none of them can run, it chooses the reference and says on
+            stderr what the faster one lacks.
 
     Raises:
         InputError: The name is unknown, or the named backend cannot run on this device or computer.
@@ -33,26 +36,45 @@ def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
     kind = torch.device(device).type
     if backend != "auto":
         return _named(backend, kind)
-    wanted = {"cuda": "gsplat", "cpu": "cpu"}.get(kind, "reference")
-    missing = _missing(wanted)
-    if missing:
-        write_err(f"rendering with the reference rasterizer, which is many times slower: {missing}")
-    return load("reference" if missing else wanted)
+    wanted = {"cuda": ("triton", "gsplat"), "cpu": ("cpu",)}.get(kind, ())
+    lacks = []
+    for name in wanted:
+        lacks.append(_missing(name))
+        if not lacks[-1]:
+            return load(name)
+    if lacks:
+        write_err(f"rendering with the reference rasterizer, which is many times slower: {'; '.join(lacks)}")
+    return load("reference")
 
 
 def _missing(backend: str) -> str:
     """What a backend lacks and how to install it; empty if it can run."""
-    if backend == "gsplat" and not importable("gsplat"):
-        return "gsplat cannot be imported; pip install ggavatar[cuda]"
+    if backend == "triton":
+        return device_kernels.missing("cuda")
+    if backend == "gsplat":
+        return _missing_for_gsplat()
     if backend == "cpu" and not importable(BACKENDS["cpu"]):
         return "numba cannot be imported; pip install numba"
     return ""
 
 
+def _missing_for_gsplat() -> str:
+    """What gsplat lacks; its wheels hold sources only, which its first use compiles, and it imports without success."""
+    if not importable("gsplat"):
+        return "gsplat cannot be imported; pip install ggavatar[cuda]"
+    try:
+        kernels = importlib.import_module("gsplat.cuda._backend")._C
+    except Exception as error:  # its build raises errors of torch, ninja, the compiler and the file system
+        kernels, reason = None, (str(error).strip() or repr(error)).splitlines()[0]
+    else:
+        reason = "no CUDA toolkit found"
+    return "" if kernels is not None else f"gsplat cannot build its kernels ({reason}); install nvcc, g++ and ninja"
+
+
 def _named(backend: str, kind: str) -> Rasterizer:
     if backend not in BACKENDS:
         raise InputError(f"expected a rasterizer of auto, {', '.join(BACKENDS)}; found {backend!r}")
-    required = {"gsplat": "cuda", "cpu": "cpu"}.get(backend, kind)
+    required = {"triton": "cuda", "gsplat": "cuda", "cpu": "cpu"}.get(backend, kind)
     if kind != required:
         raise InputError(f"the {backend} rasterizer needs tensors on a {required} device, found {kind!r}; use auto")
     missing = _missing(backend)
@@ -62,8 +84,9 @@ def _named(backend: str, kind: str) -> Rasterizer:
 
 
 def load(backend: str) -> Rasterizer:
-    """Import a backend's module and return its function `rasterize`."""
-    rasterizer: Rasterizer = importlib.import_module(BACKENDS[backend]).rasterize
+    """Import a backend's module and return its rasterizer; that of Triton is a new one, which learns as it renders."""
+    module = importlib.import_module(BACKENDS[backend])
+    rasterizer: Rasterizer = module.TileRasterizer() if backend == "triton" else module.rasterize
     return rasterizer
 
 

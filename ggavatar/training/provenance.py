@@ -18,7 +18,7 @@ from ggavatar.training.progress import peak_memory_mib
 from ggavatar.training.run_folder import RunConfig
 from ggavatar.training.trainer import Trainer
 
-RECORDED_PACKAGES = ("ggavatar", "torch", "numpy", "numba", "gsplat", "safetensors")
+RECORDED_PACKAGES = ("ggavatar", "torch", "numpy", "numba", "triton", "gsplat", "safetensors")
 """Packages whose versions are recorded."""
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
+
+from ggavatar.jit import device_kernels
 
 FIRST_GUESS = 8.0
 """Pairs per Gaussian before a rendering has told."""
@@ -45,21 +46,23 @@ class Reports:
 
     def send(self, size: tuple[int, int], rows: int, capacity: int, status: Tensor) -> None:
         """Start to copy a status to the host, unless another copy is under way or a graph is being captured."""
-        if self._travelling or (status.is_cuda and torch.cuda.is_current_stream_capturing()):
+        if self._travelling or (status.is_cuda and device_kernels.is_capturing()):
             return
-        copy, event = status.to("cpu", non_blocking=True), None
-        if status.is_cuda:
-            event = torch.cuda.Event()
-            event.record()
+        copy = status.to("cpu", non_blocking=True)
+        event = device_kernels.event_now() if status.is_cuda else None
         self._travelling.append((event, (size, rows, capacity), copy))
 
     def arrived(self) -> list[Report]:
         """The reports that have arrived; each is returned once."""
-        if self._travelling and self._travelling[0][0] is not None:
-            if torch.cuda.is_current_stream_capturing() or not self._travelling[0][0].query():
-                return []
+        if not all(event is None or _has_happened(event) for event, _, _ in self._travelling):
+            return []
         ready, self._travelling = self._travelling, []
         return [Report(*about, *copy.tolist()) for _, about, copy in ready]
+
+
+def _has_happened(event: Any) -> bool:
+    """Whether the device has come to an event; no while a graph is being captured, when asking is forbidden."""
+    return not device_kernels.is_capturing() and event.query()
 
 
 class Capacity:

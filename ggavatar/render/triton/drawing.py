@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_kernel
 from ggavatar.render.triton.layout import BLUE, CHUNK, DEPTH, GREEN, RED, TILE
 from ggavatar.render.triton.tiles import alphas_at, blended, listed_rows, record_of, tile_list, tile_pixels
 
 
-@triton.jit
+@device_kernel
 def draw_tiles(
     records, entries, order, starts, ends, background,
     image, alpha_image, depth_image, light,

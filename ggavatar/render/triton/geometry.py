@@ -5,20 +5,24 @@ A tuple of three blocks is a vector, a tuple of three such tuples a matrix row b
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function
 from ggavatar.render.triton.layout import CLAMP_MARGIN, LOW_PASS, MIN_NORM
 
 
-@triton.jit
+@device_function
 def load_3(base, row, mask):
     """Three consecutive numbers of every row of a matrix [N, 3]; 0 where `mask` is false."""
     at = base + row * 3
-    return tl.load(at, mask=mask, other=0.0), tl.load(at + 1, mask=mask, other=0.0), tl.load(at + 2, mask=mask, other=0.0)
+    return (
+        tl.load(at, mask=mask, other=0.0),
+        tl.load(at + 1, mask=mask, other=0.0),
+        tl.load(at + 2, mask=mask, other=0.0),
+    )
 
 
-@triton.jit
+@device_function
 def load_quats(base, row, mask):
     """Quaternions of rows of [N, 4]; identity where `mask` is false."""
     at = base + row * 4
@@ -26,7 +30,7 @@ def load_quats(base, row, mask):
     return w, x, tl.load(at + 2, mask=mask, other=0.0), tl.load(at + 3, mask=mask, other=0.0)
 
 
-@triton.jit
+@device_function
 def store_3(base, row, mask, a):
     """Write three numbers to every row of a matrix [N, 3]."""
     at = base + row * 3
@@ -35,7 +39,7 @@ def store_3(base, row, mask, a):
     tl.store(at + 2, a[2], mask=mask)
 
 
-@triton.jit
+@device_function
 def camera_rotation(pose):
     """The rows of the rotation of a pose [4, 4]."""
     row_0 = tl.load(pose), tl.load(pose + 1), tl.load(pose + 2)
@@ -43,20 +47,20 @@ def camera_rotation(pose):
     return row_0, row_1, (tl.load(pose + 8), tl.load(pose + 9), tl.load(pose + 10))
 
 
-@triton.jit
+@device_function
 def camera_translation(pose):
     """The translation of a pose [4, 4]."""
     return tl.load(pose + 3), tl.load(pose + 7), tl.load(pose + 11)
 
 
-@triton.jit
+@device_function
 def camera_center(rotation, translation):
     """Position of the camera in the world: −Rᵀ t."""
     x, y, z = from_rows(rotation, translation)
     return -x, -y, -z
 
 
-@triton.jit
+@device_function
 def axis_view(intrinsics, AXIS: tl.constexpr, size):
     """Of an image axis: focal length and principal point (px), and the limits of x/z or y/z in the widened view."""
     focal, principal = tl.load(intrinsics + 4 * AXIS), tl.load(intrinsics + 3 * AXIS + 2)
@@ -64,43 +68,43 @@ def axis_view(intrinsics, AXIS: tl.constexpr, size):
     return focal, principal, -principal / focal - margin, (size - principal) / focal + margin
 
 
-@triton.jit
+@device_function
 def dot(a, b):
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@triton.jit
+@device_function
 def scaled(factor, a):
     """A number times a vector."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-@triton.jit
+@device_function
 def product(a, b):
     """Elementwise product of vectors."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
-@triton.jit
+@device_function
 def combined(x, a, y, b):
     """The linear combination x · a + y · b of vectors."""
     return x * a[0] + y * b[0], x * a[1] + y * b[1], x * a[2] + y * b[2]
 
 
-@triton.jit
+@device_function
 def added(a, b):
     """Sum of vectors."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@triton.jit
+@device_function
 def masked(mask, a):
     """A vector, zero where `mask` is false."""
     return tl.where(mask, a[0], 0.0), tl.where(mask, a[1], 0.0), tl.where(mask, a[2], 0.0)
 
 
-@triton.jit
+@device_function
 def from_rows(rows, a):
     """The transposed matrix times a vector: Σ aᵢ · rowᵢ."""
     row_0, row_1, row_2 = rows
@@ -109,13 +113,13 @@ def from_rows(rows, a):
     return x, y, a[0] * row_0[2] + a[1] * row_1[2] + a[2] * row_2[2]
 
 
-@triton.jit
+@device_function
 def onto_rows(rows, a):
     """The matrix times a vector."""
     return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
 
 
-@triton.jit
+@device_function
 def unit_quaternion(quat):
     """The normalized quaternion and 1 / length; any length is allowed, even 0 or one whose square overflows."""
     w, x, y, z = quat
@@ -127,7 +131,7 @@ def unit_quaternion(quat):
     return (w * inverse, x * inverse, y * inverse, z * inverse), inverse
 
 
-@triton.jit
+@device_function
 def rotation_columns(unit):
     """The columns of the rotation matrix of a unit quaternion wxyz."""
     w, x, y, z = unit
@@ -136,7 +140,7 @@ def rotation_columns(unit):
     return column_0, column_1, (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
 
 
-@triton.jit
+@device_function
 def image_axis(axis, axis_z, position, inverse, view):
     """A row of J W, the derivative of a pixel coordinate with respect to the world position, and the clamped ratio."""
     focal, _, low, high = view
@@ -144,7 +148,7 @@ def image_axis(axis, axis_z, position, inverse, view):
     return combined(focal * inverse, axis, -focal * inverse * ratio, axis_z), ratio
 
 
-@triton.jit
+@device_function
 def covariance(spread_0, spread_1):
     """Entries xx, xy, yy and determinant of the low-passed image covariance, from the rows of M = J W R S.
 
@@ -158,7 +162,7 @@ def covariance(spread_0, spread_1):
     return square_0 + LOW_PASS, xy, square_1 + LOW_PASS, determinant
 
 
-@triton.jit
+@device_function
 def whitening(xx, xy, yy, determinant):
     """The upper triangle of the whitening matrix of an image covariance: u = a dx + b dy, v = c dy."""
     root, inverse = tl.sqrt(yy), 1.0 / tl.sqrt(determinant)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function, device_kernel
 from ggavatar.render.triton.geometry import (
     added,
     axis_view,
@@ -50,7 +50,7 @@ from ggavatar.render.triton.layout import (
 )
 
 
-@triton.jit
+@device_kernel
 def differentiate_gaussians(
     means, quats, scales, opacities, colors, pose, intrinsics,
     records, order, ends, counts, radii, sums,
@@ -58,15 +58,15 @@ def differentiate_gaussians(
     rows, capacity, width, height,
     HELD: tl.constexpr, DEGREE: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Write the gradients of a block of Gaussians in order of depth, and its sums for the pose [programs, POSE_SUMS]."""
+    """Write the gradients of a block of Gaussians in order of depth, and its sums for the pose [programs, POSE_SUMS].
+
+    Reads the sums of pairs [capacity, SUMS], those of a Gaussian one after the other.
+    """
     rank = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     alive = rank < rows
     row = tl.load(order + rank, mask=alive, other=0).to(tl.int32)
     seen = alive & (tl.load(radii + row, mask=alive, other=0.0) > 0)
-    end, count = tl.load(ends + rank, mask=alive, other=0), tl.load(counts + row, mask=alive, other=0)
-    overflowed = tl.load(ends + rows - 1) > capacity
-    first = tl.where(overflowed, rank, (end - count).to(tl.int32))
-    count = tl.where(overflowed & alive, 1, count)
+    first, count = _places(ends, counts, rank, row, alive, rows, capacity)
     to_color, to_depth, to_opacity, to_uv, to_square = _gathered(sums, first, count)
 
     mean, scale = load_3(means, row, alive), load_3(scales, row, alive)
@@ -89,27 +89,18 @@ def differentiate_gaussians(
     to_scale = added(product(to_spread_0, own_0), product(to_spread_1, own_1))
     store_3(to_scales, row, alive, masked(seen, to_scale))
     to_own_0, to_own_1 = product(to_spread_0, scale), product(to_spread_1, scale)
-    _store_quaternion_gradient(to_quats, row, alive, seen, (unit, inverse_length), (axis_0, axis_1), (to_own_0, to_own_1))
+    _store_quaternion_gradient(
+        to_quats, row, alive, seen, (unit, inverse_length), (axis_0, axis_1), (to_own_0, to_own_1)
+    )
     to_axis_0, to_axis_1 = masked(seen, from_rows(columns, to_own_0)), masked(seen, from_rows(columns, to_own_1))
 
     point_x, through_x = _to_axis_position(to_axis_0, to_x, rotation[0], rotation[2], x, inverse, ratio_x, view_x)
     point_y, through_y = _to_axis_position(to_axis_1, to_y, rotation[1], rotation[2], y, inverse, ratio_y, view_y)
     to_point = masked(seen, (point_x, point_y, to_depth - inverse * inverse * (through_x + through_y)))
-    to_center = (tl.zeros_like(x), tl.zeros_like(x), tl.zeros_like(x))
-    if HELD == 0:
-        store_3(to_colors, row, alive, masked(seen, to_color))
-    else:
-        drawn = records + row * RECORD  # its colors are clamped at zero
-        red = tl.where(tl.load(drawn + RED, mask=seen, other=0.0) > 0, to_color[0], 0.0)
-        green = tl.where(tl.load(drawn + GREEN, mask=seen, other=0.0) > 0, to_color[1], 0.0)
-        blue = tl.where(tl.load(drawn + BLUE, mask=seen, other=0.0) > 0, to_color[2], 0.0)
-        to_color = (red, green, blue)
-        towards, nearness = direction(mean, camera_center(rotation, translation))
-        store_color_gradient(to_colors, row, alive, towards, to_color, HELD, DEGREE)
-        if DEGREE > 0:
-            to_unit = to_direction(colors, row, alive, towards, to_color, HELD, DEGREE)
-            to_center = scaled(-nearness, combined(1.0, to_unit, -dot(towards, to_unit), towards))
-            to_center = masked(seen, to_center)
+    to_center = _differentiate_colors(
+        colors, records, to_colors, row, alive, seen, direction(mean, camera_center(rotation, translation)), to_color,
+        HELD, DEGREE,
+    )  # fmt: skip
     to_mean = combined(1.0, from_rows(rotation, to_point), -1.0, to_center)
     store_3(to_means, row, alive, to_mean)
     tl.store(to_means2d + 2 * row, tl.where(seen, to_x, 0.0), mask=alive)
@@ -127,7 +118,39 @@ def differentiate_gaussians(
     _sum_3(at + 12, to_center)
 
 
-@triton.jit
+@device_function
+def _differentiate_colors(
+    colors, records, to_colors, row, alive, seen, towards, to_color, HELD: tl.constexpr, DEGREE: tl.constexpr
+):
+    """Write the gradient of the colors; returns that of the camera center."""
+    unit, nearness = towards
+    to_center = (tl.zeros_like(nearness), tl.zeros_like(nearness), tl.zeros_like(nearness))
+    if HELD == 0:
+        store_3(to_colors, row, alive, masked(seen, to_color))
+    else:
+        drawn = records + row * RECORD  # its colors are clamped at zero
+        red = tl.where(tl.load(drawn + RED, mask=seen, other=0.0) > 0, to_color[0], 0.0)
+        green = tl.where(tl.load(drawn + GREEN, mask=seen, other=0.0) > 0, to_color[1], 0.0)
+        blue = tl.where(tl.load(drawn + BLUE, mask=seen, other=0.0) > 0, to_color[2], 0.0)
+        before_clamp = (red, green, blue)
+        store_color_gradient(to_colors, row, alive, unit, before_clamp, HELD, DEGREE)
+        if DEGREE > 0:
+            to_unit = to_direction(colors, row, alive, unit, before_clamp, HELD, DEGREE)
+            across = combined(1.0, to_unit, -dot(unit, to_unit), unit)
+            to_center = masked(seen, scaled(-nearness, across))
+    return to_center
+
+
+@device_function
+def _places(ends, counts, rank, row, alive, rows, capacity):
+    """The first place of every Gaussian's sums, and their number: one place, its rank, if the pairs overflowed."""
+    end, count = tl.load(ends + rank, mask=alive, other=0), tl.load(counts + row, mask=alive, other=0)
+    overflowed = tl.load(ends + rows - 1) > capacity
+    first = tl.where(overflowed, rank, (end - count).to(tl.int32))
+    return first, tl.where(overflowed & alive, 1, count)
+
+
+@device_function
 def _gathered(sums, first, count):
     """The sums of every Gaussian over its tiles, in a fixed order: of color, depth, log alpha, (u, v), and squares."""
     zero = tl.zeros(first.shape, tl.float32)
@@ -149,7 +172,7 @@ def _gathered(sums, first, count):
     return (red, green, blue), depth, log_alpha, (u, v), (uu, uv, vv)
 
 
-@triton.jit
+@device_function
 def _to_image_shape(a, b, c, to_uv, to_square):
     """Gradients of the center in px, and xx, xy, yy of the symmetric gradient of the image covariance.
 
@@ -164,7 +187,7 @@ def _to_image_shape(a, b, c, to_uv, to_square):
     return TWO_LN2 * a * u, TWO_LN2 * (b * u + c * v), a * a * uu * factor, a * mixed * factor, last * factor
 
 
-@triton.jit
+@device_function
 def _to_axis_position(to_axis, to_center, axis, axis_z, position, inverse, ratio, view):
     """For the x or the y axis of the image: gradients of the camera-space coordinate and of 1 / z."""
     focal, _, low, high = view
@@ -174,7 +197,7 @@ def _to_axis_position(to_axis, to_center, axis, axis_z, position, inverse, ratio
     return to_ratio * inverse, to_ratio * position + (dot(to_axis, axis) - ratio * slant) * focal
 
 
-@triton.jit
+@device_function
 def _store_quaternion_gradient(target, row, alive, seen, quaternion, axes, to_own):
     """Write the gradient of quaternions of any length, given that of own = axis · rotation."""
     unit, inverse_length = quaternion
@@ -198,7 +221,7 @@ def _store_quaternion_gradient(target, row, alive, seen, quaternion, axes, to_ow
     tl.store(at + 3, tl.where(seen, (to_z - along * z) * inverse_length, 0.0), mask=alive)
 
 
-@triton.jit
+@device_function
 def _sum_3(target, a):
     """Write the sums of a vector over the block."""
     tl.store(target, tl.sum(a[0], axis=0))
@@ -206,7 +229,7 @@ def _sum_3(target, a):
     tl.store(target + 2, tl.sum(a[2], axis=0))
 
 
-@triton.jit
+@device_kernel
 def finish_pose(to_poses, pose, to_pose, programs, BLOCK: tl.constexpr):
     """Write the gradient [4, 4] of the pose from sums for its rotation, its translation and the camera center −Rᵀ t."""
     lane = tl.arange(0, POSE_SUMS)
@@ -227,7 +250,7 @@ def finish_pose(to_poses, pose, to_pose, programs, BLOCK: tl.constexpr):
     tl.store(to_pose + 15, 0.0)
 
 
-@triton.jit
+@device_function
 def _picked(values, INDEX: tl.constexpr):
     """One element of a block."""
     return tl.sum(tl.where(tl.arange(0, POSE_SUMS) == INDEX, values, 0.0), axis=0)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function
 from ggavatar.render import harmonics
 
 C0, C1 = tl.constexpr(harmonics.C0), tl.constexpr(harmonics.C1)
@@ -12,7 +12,7 @@ C20, C21, C22 = (tl.constexpr(value) for value in harmonics.C2)
 C30, C31, C32, C33, C34 = (tl.constexpr(value) for value in harmonics.C3)
 
 
-@triton.jit
+@device_function
 def direction(mean, center):
     """Unit vector from the camera to the Gaussian, and the reciprocal distance."""
     x, y, z = mean[0] - center[0], mean[1] - center[1], mean[2] - center[2]
@@ -20,7 +20,7 @@ def direction(mean, center):
     return (x * inverse, y * inverse, z * inverse), inverse
 
 
-@triton.jit
+@device_function
 def basis(unit, TERM: tl.constexpr):
     """Value of one of the sixteen basis functions."""
     x, y, z = unit
@@ -47,7 +47,7 @@ def basis(unit, TERM: tl.constexpr):
     return value
 
 
-@triton.jit
+@device_function
 def _cubic(x, y, z, TERM: tl.constexpr):
     """Value of one of the seven basis functions of degree 3."""
     if TERM == 9:
@@ -67,11 +67,15 @@ def _cubic(x, y, z, TERM: tl.constexpr):
     return value
 
 
-@triton.jit
+@device_function
 def colors_of(coefficients, rows, mask, unit, HELD: tl.constexpr, DEGREE: tl.constexpr):
     """Colors before the clamp at zero; `coefficients` is [N, HELD, 3]."""
     at = coefficients + rows.to(tl.int64) * (3 * HELD)
-    red, green, blue = tl.full(rows.shape, 0.5, tl.float32), tl.full(rows.shape, 0.5, tl.float32), tl.full(rows.shape, 0.5, tl.float32)
+    red, green, blue = (
+        tl.full(rows.shape, 0.5, tl.float32),
+        tl.full(rows.shape, 0.5, tl.float32),
+        tl.full(rows.shape, 0.5, tl.float32),
+    )
     for term in tl.static_range((DEGREE + 1) * (DEGREE + 1)):
         value = basis(unit, term)
         red += value * tl.load(at + 3 * term, mask=mask, other=0.0)
@@ -80,28 +84,27 @@ def colors_of(coefficients, rows, mask, unit, HELD: tl.constexpr, DEGREE: tl.con
     return red, green, blue
 
 
-@triton.jit
+@device_function
 def store_color_gradient(target, rows, mask, unit, to_color, HELD: tl.constexpr, DEGREE: tl.constexpr):
     """Write the gradient of the coefficients; those above the degree get zeros."""
     at = target + rows.to(tl.int64) * (3 * HELD)
     for term in tl.static_range(HELD):
+        value = tl.zeros(rows.shape, tl.float32)
         if term < (DEGREE + 1) * (DEGREE + 1):
             value = basis(unit, term)
-        else:
-            value = tl.zeros(rows.shape, tl.float32)
         tl.store(at + 3 * term, value * to_color[0], mask=mask)
         tl.store(at + 3 * term + 1, value * to_color[1], mask=mask)
         tl.store(at + 3 * term + 2, value * to_color[2], mask=mask)
 
 
-@triton.jit
+@device_function
 def _to_basis(at, mask, to_color, TERM: tl.constexpr):
     """Gradient of one basis value."""
     red, green = tl.load(at + 3 * TERM, mask=mask, other=0.0), tl.load(at + 3 * TERM + 1, mask=mask, other=0.0)
     return red * to_color[0] + green * to_color[1] + tl.load(at + 3 * TERM + 2, mask=mask, other=0.0) * to_color[2]
 
 
-@triton.jit
+@device_function
 def to_direction(coefficients, rows, mask, unit, to_color, HELD: tl.constexpr, DEGREE: tl.constexpr):
     """Gradient of the unit direction."""
     at = coefficients + rows.to(tl.int64) * (3 * HELD)
@@ -122,7 +125,7 @@ def to_direction(coefficients, rows, mask, unit, to_color, HELD: tl.constexpr, D
     return dx, dy, dz
 
 
-@triton.jit
+@device_function
 def _cubic_to_direction(at, mask, unit, to_color):
     """The part of `to_direction` that comes from the seven cubic terms."""
     x, y, z = unit

@@ -6,13 +6,13 @@ then the tiles walk through all Gaussians instead (`ggavatar.render.triton.tiles
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function, device_kernel
 from ggavatar.render.triton.layout import PAIRS
 
 
-@triton.jit
+@device_kernel
 def list_pairs(
     order, ends, boxes, pair_tiles, pair_rows, status,
     rows, tiles_x, tiles, capacity, steps,
@@ -40,7 +40,7 @@ def list_pairs(
         tl.store(status + PAIRS, tl.minimum(total, 2147483647).to(tl.int32))
 
 
-@triton.jit
+@device_kernel
 def finish_lists(
     sorted_tiles, places, pair_rows, entries, starts,
     capacity, tiles, steps,
@@ -52,10 +52,12 @@ def finish_lists(
     source = tl.load(places + place, mask=inside, other=0)
     tl.store(entries + place, tl.load(pair_rows + source, mask=inside, other=0), mask=inside)
     if tl.program_id(0) * BLOCK <= tiles:
-        tl.store(starts + place, _first_above(sorted_tiles, place - 1, capacity, steps, place <= tiles), mask=place <= tiles)
+        tl.store(
+            starts + place, _first_above(sorted_tiles, place - 1, capacity, steps, place <= tiles), mask=place <= tiles
+        )
 
 
-@triton.jit
+@device_function
 def _first_above(ascending, value, length, steps, mask):
     """Index of the first element that exceeds `value`; `length` if none does."""
     low, high = tl.zeros(value.shape, tl.int32), tl.zeros(value.shape, tl.int32) + length

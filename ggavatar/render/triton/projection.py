@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function, device_kernel
 from ggavatar.render.triton.geometry import (
     axis_view,
     camera_center,
     camera_rotation,
     camera_translation,
     covariance,
-    dot,
     image_axis,
     load_3,
     load_quats,
@@ -47,7 +46,7 @@ from ggavatar.render.triton.layout import (
 )
 
 
-@triton.jit
+@device_kernel
 def project_gaussians(
     means, quats, scales, opacities, colors, pose, intrinsics, background,
     records, means2d, radii, depths, boxes, counts, status,
@@ -92,9 +91,11 @@ def project_gaussians(
 
     if HELD == 0:
         red, green, blue = load_3(colors, row, alive)
+        color_fault = ~_finite(red + green + blue)
     else:
         towards, _ = direction(mean, camera_center(rotation, translation))
         red, green, blue = colors_of(colors, row, alive, towards, HELD, DEGREE)
+        color_fault = _finite(towards[0] + towards[1] + towards[2]) & ~_finite(red + green + blue)
     a, b, c = whitening(xx, xy, yy, determinant)
     at = records + row * RECORD
     tl.store(at + WHITEN_XX, tl.where(seen, WHITEN * a, 0.0), mask=alive)
@@ -108,12 +109,12 @@ def project_gaussians(
     tl.store(at + GREEN, tl.where(seen, tl.maximum(green, floor), 0.0), mask=alive)
     tl.store(at + BLUE, tl.where(seen, tl.maximum(blue, floor), 0.0), mask=alive)
     tl.store(at + DEPTH, tl.where(seen, depth, 0.0), mask=alive)
-    _report_faults(status, alive, mean, quat, scale, opacity, red + green + blue)
+    _report_faults(status, alive, mean, quat, scale, opacity, color_fault)
     if tl.program_id(0) == 0:
         _report_view_faults(status, pose, intrinsics, background)
 
 
-@triton.jit
+@device_function
 def _covered_tiles(center, half, size, seen):
     """First tile whose pixel centers the interval can reach, and how many tiles it reaches."""
     low = tl.maximum(tl.ceil(center - half - (0.5 + SLACK_PX)), 0.0)
@@ -124,7 +125,7 @@ def _covered_tiles(center, half, size, seen):
     return first, tl.where(reaches, last - first + 1, 0)
 
 
-@triton.jit
+@device_function
 def _store_places(means2d, radii, boxes, counts, depths, row, alive, place):
     """Write where Gaussians are in the image."""
     x, y, radius, left, top, across, down, depth = place
@@ -139,24 +140,24 @@ def _store_places(means2d, radii, boxes, counts, depths, row, alive, place):
     tl.store(depths + row, tl.where(across * down > 0, depth, float("inf")), mask=alive)
 
 
-@triton.jit
+@device_function
 def _finite(value):
     """Whether numbers are neither NaN nor infinite."""
     return tl.abs(value) <= LARGEST
 
 
-@triton.jit
-def _report_faults(status, alive, mean, quat, scale, opacity, color):
+@device_function
+def _report_faults(status, alive, mean, quat, scale, opacity, color_fault):
     """Set the bits of the tensors, in the order of `ggavatar.render.checks.FIELDS`, that hold NaN or infinity."""
     bits = tl.where(_finite(mean[0]) & _finite(mean[1]) & _finite(mean[2]), 0, 1)
     bits |= tl.where(_finite(quat[0]) & _finite(quat[1]) & _finite(quat[2]) & _finite(quat[3]), 0, 2)
     bits |= tl.where(_finite(scale[0]) & _finite(scale[1]) & _finite(scale[2]), 0, 4)
-    bits |= tl.where(_finite(opacity), 0, 8) | tl.where(_finite(color), 0, 16)
+    bits |= tl.where(_finite(opacity), 0, 8) | tl.where(color_fault, 16, 0)
     if tl.max(tl.where(alive, bits, 0), axis=0) > 0:
         tl.atomic_or(status + FAULTS + tl.zeros_like(bits), bits, mask=alive & (bits > 0), sem="relaxed")
 
 
-@triton.jit
+@device_function
 def _report_view_faults(status, pose, intrinsics, background):
     """Set the bits of the view's tensors, in the order of `ggavatar.render.checks.VIEW_NAMES`, after those above."""
     k = tl.arange(0, 16)

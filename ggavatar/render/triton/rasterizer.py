@@ -84,9 +84,7 @@ def _check(report: Report) -> None:
         )
 
 
-def _rasterize(
-    gaussians: Gaussians, camera: Camera, background: Tensor, capacity: int
-) -> tuple[Rendering, Tensor]:
+def _rasterize(gaussians: Gaussians, camera: Camera, background: Tensor, capacity: int) -> tuple[Rendering, Tensor]:
     """The rendering, and its status on the device."""
     colors, device = gaussians.colors, gaussians.means.device
     held = colors.shape[1] if colors.ndim == 3 else 0
@@ -95,10 +93,10 @@ def _rasterize(
     inputs = [_contiguous_float32(getattr(gaussians, name), device) for name in FIELDS]
     pose, intrinsics = (_contiguous_float32(k, device) for k in (camera.world_to_camera, camera.intrinsics))
     sizes = camera.width, camera.height, held, degree, capacity
-    *outputs, radii, status = _Rasterize.apply(
+    image, alpha, depth, radii, status = _Rasterize.apply(
         sizes, means2d, pose, _contiguous_float32(background, device), intrinsics, *inputs
     )
-    return Rendering(*outputs, means2d, radii), status
+    return Rendering(image, alpha, depth, means2d, radii), status
 
 
 def _contiguous_float32(tensor: Tensor, device: torch.device) -> Tensor:
@@ -133,10 +131,10 @@ class _Rasterize(torch.autograd.Function):
         cloud, rest = tuple(saved[:5]), saved[5:]
         view = stages.View(pose, intrinsics, background, *ctx.shape)
         footprints, lists, canvas = stages.Footprints(*rest[:5]), stages.Lists(*rest[5:10]), stages.Canvas(*rest[10:])
-        upstream = tuple(None if given is None else given.float().contiguous() for given in incoming[:3])
-        sums = stages.differentiate_tiles(view, footprints.records, lists, canvas, upstream)
+        to_image, to_alpha, to_depth, *_ = (None if k is None else k.float().contiguous() for k in incoming)
+        sums = stages.differentiate_tiles(view, footprints.records, lists, canvas, (to_image, to_alpha, to_depth))
         gradients, to_means2d, to_pose = stages.differentiate_gaussians(view, cloud, footprints, lists, sums)
         to_background = None
-        if ctx.needs_input_grad[3] and upstream[0] is not None:
-            to_background = (upstream[0] * canvas.light).sum((0, 1))
+        if ctx.needs_input_grad[3] and to_image is not None:
+            to_background = (to_image * canvas.light).sum((0, 1))
         return None, to_means2d, to_pose, to_background, None, *gradients

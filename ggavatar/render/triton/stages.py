@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -51,8 +51,8 @@ class Footprints(NamedTuple):
 class Lists(NamedTuple):
     """Pairs of Gaussian and tile, in order of tiles and then of depth.
 
-    `order` [N] are the Gaussians by depth and `ends` [N] their cumulated counts; `places` [capacity] is where a pair was
-    before it was sorted by tile, `entries` [capacity] its Gaussian; `starts` [tiles + 1].
+    `order` [N] are the Gaussians by depth and `ends` [N] their cumulated counts; `places` [capacity] is where a pair
+    was before it was sorted by tile, `entries` [capacity] its Gaussian; `starts` [tiles + 1].
     """
 
     order: Tensor
@@ -74,9 +74,10 @@ class Canvas(NamedTuple):
 def project(view: View, cloud: tuple[Tensor, ...], means2d: Tensor) -> tuple[Footprints, Tensor]:
     """Project Gaussians (means, quats, scales, opacities, colors); also writes `means2d`, and returns the status."""
     rows, device = len(means2d), means2d.device
-    floats, numbers = {"device": device}, {"device": device, "dtype": torch.int32}
-    records, radii, depths = torch.empty(rows, RECORD.value, **floats), torch.empty(rows, **floats), None
-    depths = torch.empty(rows, **floats)
+    floats: dict[str, Any] = {"device": device, "dtype": torch.float32}
+    numbers: dict[str, Any] = {"device": device, "dtype": torch.int32}
+    records = torch.empty(rows, RECORD.value, **floats)
+    radii, depths = torch.empty(rows, **floats), torch.empty(rows, **floats)
     boxes, counts = torch.empty(rows, 4, **numbers), torch.empty(rows, **numbers)
     status = torch.zeros(STATUS.value, **numbers)
     device_kernels.launch(
@@ -96,7 +97,7 @@ def list_pairs(view: View, footprints: Footprints, capacity: int, status: Tensor
     ends = footprints.counts.index_select(0, order).cumsum(0)
     kind = torch.int16 if tiles <= NARROW_TILES else torch.int32
     pair_tiles = torch.empty(capacity, dtype=kind, device=device)
-    pair_rows, entries = torch.empty(2, capacity, dtype=torch.int32, device=device).unbind()
+    pair_rows, entries = (torch.empty(capacity, dtype=torch.int32, device=device) for _ in range(2))
     device_kernels.launch(
         pairs.list_pairs, -(-capacity // BLOCK), order, ends, footprints.boxes, pair_tiles, pair_rows, status,
         rows, across, tiles, capacity, rows.bit_length(), BLOCK=BLOCK,
@@ -118,25 +119,30 @@ def draw(view: View, records: Tensor, lists: Lists) -> Canvas:
     device_kernels.launch(
         drawing.draw_tiles, across * down, records, lists.entries, lists.order, lists.starts, lists.ends,
         view.background, image, alpha, depth, light,
-        len(records), len(lists.entries), view.width, view.height, across,
+        len(records), len(lists.entries), view.width, view.height, across, warps=8,
     )  # fmt: skip
     return Canvas(image, alpha, depth, light)
 
 
 def differentiate_tiles(
-    view: View, records: Tensor, lists: Lists, canvas: Canvas, upstream: tuple[Tensor | None, Tensor | None, Tensor | None]
+    view: View,
+    records: Tensor,
+    lists: Lists,
+    canvas: Canvas,
+    upstream: tuple[Tensor | None, Tensor | None, Tensor | None],
 ) -> Tensor:
     """Sums [capacity, SUMS] over pixels, from the gradients of image, alpha and depth."""
     rows, capacity = len(records), len(lists.entries)
     sums = torch.empty(capacity, SUMS.value, device=records.device)
     sums[:rows].zero_()  # what is added to, should the pairs have overflowed
     given = [canvas.light if gradient is None else gradient for gradient in upstream]
+    has = {f"HAS_{name}": upstream[number] is not None for number, name in enumerate(("IMAGE", "ALPHA", "DEPTH"))}
     across, down = view.tiles
     device_kernels.launch(
         tile_gradient.differentiate_tiles, across * down, records, lists.entries, lists.order, lists.places,
         lists.starts, lists.ends, canvas.image, canvas.depth, canvas.light, *given, sums,
         rows, capacity, view.width, view.height, across,
-        HAS_IMAGE=upstream[0] is not None, HAS_ALPHA=upstream[1] is not None, HAS_DEPTH=upstream[2] is not None, warps=8,
+        **has, warps=8,
     )  # fmt: skip
     return sums
 

@@ -6,9 +6,9 @@ nothing is added atomically and results do not depend on which program is first.
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function, device_kernel
 from ggavatar.render.triton.layout import (
     BLUE,
     CHUNK,
@@ -32,7 +32,7 @@ from ggavatar.render.triton.layout import (
 from ggavatar.render.triton.tiles import alphas_at, blended, listed_rows, record_of, tile_list, tile_pixels
 
 
-@triton.jit
+@device_kernel
 def differentiate_tiles(
     records, entries, order, places, starts, ends,
     image, depth_image, light, to_image, to_alpha, to_depth, sums,
@@ -88,20 +88,14 @@ def differentiate_tiles(
         _put(into + TO_GREEN, tl.sum(weight * green[:, None], axis=0), there, overflowed)
         _put(into + TO_BLUE, tl.sum(weight * blue[:, None], axis=0), there, overflowed)
         _put(into + TO_DEPTH, tl.sum(weight * depth[:, None], axis=0), there, overflowed)
-        _put(into + TO_LOG_ALPHA, tl.sum(to_log_alpha, axis=0), there, overflowed)
-        to_u, to_v = to_log_alpha * u, to_log_alpha * v
-        _put(into + TO_U, tl.sum(to_u, axis=0), there, overflowed)
-        _put(into + TO_V, tl.sum(to_v, axis=0), there, overflowed)
-        _put(into + TO_UU, tl.sum(to_u * u, axis=0), there, overflowed)
-        _put(into + TO_UV, tl.sum(to_u * v, axis=0), there, overflowed)
-        _put(into + TO_VV, tl.sum(to_v * v, axis=0), there, overflowed)
+        _put_shape(into, to_log_alpha, u, v, there, overflowed)
         first += CHUNK
         going = (first < end) & (tl.max(alive, axis=0) > 0)
     if not overflowed:
         _clear_rest(sums, places, first, end)
 
 
-@triton.jit
+@device_function
 def _put(target, value, there, overflowed):
     """Write to a pair's own place, or add to a place that several tiles share."""
     if overflowed:
@@ -110,7 +104,19 @@ def _put(target, value, there, overflowed):
         tl.store(target, value, mask=there)
 
 
-@triton.jit
+@device_function
+def _put_shape(into, to_log_alpha, u, v, there, overflowed):
+    """Write, or add, the sums that opacity, center and covariance depend on."""
+    to_u, to_v = to_log_alpha * u, to_log_alpha * v
+    _put(into + TO_LOG_ALPHA, tl.sum(to_log_alpha, axis=0), there, overflowed)
+    _put(into + TO_U, tl.sum(to_u, axis=0), there, overflowed)
+    _put(into + TO_V, tl.sum(to_v, axis=0), there, overflowed)
+    _put(into + TO_UU, tl.sum(to_u * u, axis=0), there, overflowed)
+    _put(into + TO_UV, tl.sum(to_u * v, axis=0), there, overflowed)
+    _put(into + TO_VV, tl.sum(to_v * v, axis=0), there, overflowed)
+
+
+@device_function
 def _clear_rest(sums, places, first, end):
     """Write zeros for the pairs behind the last one that a pixel shows."""
     while first < end:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import triton
 import triton.language as tl
 
+from ggavatar.jit.triton_kernels import device_function
 from ggavatar.render.triton.layout import (
     LOG_OPACITY,
     MAX_ALPHA,
@@ -20,7 +20,7 @@ from ggavatar.render.triton.layout import (
 )
 
 
-@triton.jit
+@device_function
 def tile_pixels(tile, tiles_x, width, height):
     """Column, row and index of the pixels of a tile, and which are in the image."""
     lane = tl.arange(0, TILE * TILE)
@@ -28,7 +28,7 @@ def tile_pixels(tile, tiles_x, width, height):
     return column, row, row * width + column, (column < width) & (row < height)
 
 
-@triton.jit
+@device_function
 def tile_list(starts, ends, tile, rows, capacity):
     """First and end of a tile's entries, and whether the pairs overflowed, so that it walks through all Gaussians."""
     overflowed = tl.load(ends + rows - 1) > capacity
@@ -36,14 +36,14 @@ def tile_list(starts, ends, tile, rows, capacity):
     return tl.where(overflowed, 0, first), tl.where(overflowed, rows, end), overflowed
 
 
-@triton.jit
+@device_function
 def listed_rows(entries, order, k, there, overflowed):
     """Rows of the entries `k` of a tile's list, or of the Gaussians of rank `k` in the order by depth."""
     listed = tl.load(entries + k, mask=there & (not overflowed), other=0)
     return tl.where(overflowed, tl.load(order + k, mask=there & overflowed, other=0).to(tl.int32), listed)
 
 
-@triton.jit
+@device_function
 def alphas_at(at, there, x, y):
     """Of pixels × Gaussians at records `at`: whitened offsets u and v, alpha before its limit, and alpha."""
     xx, xy = tl.load(at + WHITEN_XX, mask=there, other=0.0), tl.load(at + WHITEN_XY, mask=there, other=0.0)
@@ -55,7 +55,7 @@ def alphas_at(at, there, x, y):
     return u, v, raw, tl.where(raw >= MIN_ALPHA, tl.minimum(raw, MAX_ALPHA), 0.0)
 
 
-@triton.jit
+@device_function
 def blended(alpha, transmittance, alive):
     """Alpha of the Gaussians that are blended, their weights, and the pixels' state behind them.
 
@@ -70,7 +70,7 @@ def blended(alpha, transmittance, alive):
     return alpha, weight, transmittance * tl.min(through, axis=1), alive
 
 
-@triton.jit
+@device_function
 def record_of(records, row):
     """The record of a Gaussian."""
     return records + row.to(tl.int64) * RECORD

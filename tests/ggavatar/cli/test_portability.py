@@ -33,8 +33,8 @@ LIBRARIES = (
     *("safetensors.torch", "filelock", "platformdirs", "trimesh", "kornia", "multiprocessing.pool", "shutil"),
     *("unearth", "concurrent.futures", "subprocess", "tempfile", "importlib.metadata", "xml.etree.ElementTree"),
 )
-OPTIONAL = ("gsplat", "ray")
-"""Extras, which need not be installed."""
+OPTIONAL = ("gsplat", "ray", "triton")
+"""Extras and what only some systems have, which need not be installed."""
 PREPARE = f"""
 import contextlib, ctypes, importlib, io, os, signal, sys, warnings
 warnings.simplefilter("ignore")

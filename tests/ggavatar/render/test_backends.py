@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
+import importlib.util
 import sys
 import types
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ from torch import Tensor
 
 from ggavatar.core import Camera, Gaussians
 from ggavatar.errors import InputError
+from ggavatar.jit import device_kernels
 from ggavatar.render import backends, reference
 from ggavatar.render.backends import pick
 from ggavatar.render.cpu import rasterizer
@@ -27,19 +30,66 @@ def test_the_cpu_gets_the_compiled_rasterizer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("device", "remedy"), [("cpu", "pip install numba"), ("cuda", r"pip install ggavatar\[cuda\]")]
+    ("device", "backend", "remedy"),
+    [
+        ("cpu", "cpu", "pip install numba"),
+        ("cuda", "gsplat", r"pip install ggavatar\[cuda\]"),
+        ("cuda", "triton", "no triton here"),
+    ],
 )
 def test_without_its_library_the_reference_runs_and_says_so(
-    device: str, remedy: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    device: str, backend: str, remedy: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(backends, "importable", lambda module: False)
+    monkeypatch.setattr(device_kernels, "missing", lambda kind: "no triton here")
     assert pick(device) is reference.rasterize
     assert remedy.replace("\\", "") in capsys.readouterr().err
     with pytest.raises(InputError, match=remedy):
-        pick(device, "gsplat" if device == "cuda" else "cpu")
+        pick(device, backend)
 
 
-@pytest.mark.parametrize(("device", "backend"), [("cpu", "gsplat"), ("cuda", "cpu"), ("cpu", "opengl")])
+@pytest.mark.skipif(importlib.util.find_spec("triton") is None, reason="triton is on Linux only")
+def test_cuda_gets_a_triton_rasterizer_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new one for every user of it: it learns from what it renders."""
+    from ggavatar.render.triton.rasterizer import TileRasterizer
+
+    monkeypatch.setattr(device_kernels, "missing", lambda kind: "" if kind == "cuda" else "wrong device")
+    first, second = pick("cuda"), pick("cuda:1", "triton")
+    assert isinstance(first, TileRasterizer) and isinstance(second, TileRasterizer) and first is not second
+
+
+def planted(monkeypatch: pytest.MonkeyPatch, backend: types.ModuleType | None) -> None:
+    """An installed gsplat with this module for its compiled part."""
+    for name in ("gsplat", "gsplat.cuda"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    sys.modules["gsplat"].rasterization = stand_in  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "gsplat.cuda._backend", backend)
+    monkeypatch.delitem(sys.modules, "ggavatar.render.gsplat", raising=False)
+    monkeypatch.setattr(device_kernels, "missing", lambda kind: "no triton here")
+
+
+def test_gsplat_is_chosen_if_its_kernels_are_built_and_not_because_it_imports(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compiled = types.ModuleType("gsplat.cuda._backend")
+    planted(monkeypatch, compiled)
+    for built, reason in ((None, "no CUDA toolkit found"), ("missing", "has no attribute '_C'")):
+        if built is None:
+            compiled._C = None  # type: ignore[attr-defined]
+        else:
+            del compiled._C
+        assert pick("cuda") is reference.rasterize
+        assert reason in capsys.readouterr().err
+        with pytest.raises(InputError, match=r"gsplat cannot build its kernels .* install nvcc, g\+\+ and ninja"):
+            pick("cuda", "gsplat")
+    compiled._C = object()  # type: ignore[attr-defined]
+    assert pick("cuda") is pick("cuda", "gsplat") is importlib.import_module("ggavatar.render.gsplat").rasterize
+    monkeypatch.delitem(sys.modules, "ggavatar.render.gsplat")
+
+
+@pytest.mark.parametrize(
+    ("device", "backend"), [("cpu", "gsplat"), ("cpu", "triton"), ("cuda", "cpu"), ("cpu", "opengl")]
+)
 def test_impossible_choices_are_refused(device: str, backend: str) -> None:
     with pytest.raises(InputError):
         pick(device, backend)
@@ -121,18 +171,29 @@ def test_the_adapter_refuses_nan(adapter: Any) -> None:
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_gsplat_on_cuda_agrees_with_the_reference() -> None:
-    pytest.importorskip("gsplat", reason="gsplat is an optional extra")
-    camera, cloud = random_camera(67, 53, torch.float32), random_gaussians(200, 16, torch.float32, size=0.05)
+@pytest.mark.parametrize("coefficients", [0, 16])
+@pytest.mark.parametrize("backend", ["triton", "gsplat"])
+def test_cuda_agrees_with_the_reference(backend: str, coefficients: int) -> None:
+    """Opacities stay below 0.985: gsplat limits alpha at 0.999, we at 0.99.
+
+    A pixel may differ by one Gaussian of alpha 1/255 that rounding puts on the other side of that limit: times a color
+    that harmonics of these scenes keep below 2.5, 0.01. Gradients of such a pixel change with it.
+    """
+    if backend == "gsplat":
+        pytest.importorskip("gsplat", reason="gsplat is an optional extra")
+    camera = random_camera(67, 53, torch.float32)
+    cloud = random_gaussians(200, coefficients, torch.float32, size=0.05)
+    cloud = dataclasses.replace(cloud, opacities=0.985 * cloud.opacities)
     expected, slow = gradients(reference.rasterize, cloud, camera, torch.float64)
-    draw = pick("cuda")
+    draw = pick("cuda", backend)
 
     def on_device(gaussians: Gaussians, view: Camera, background: Tensor) -> Any:
         moved = Gaussians(*(getattr(gaussians, n).cuda() for n in ("means", "quats", "scales", "opacities", "colors")))
         return draw(moved, view, background)
 
     found, fast = gradients(on_device, cloud, camera)
-    assert (found.image.cpu() - expected.image).abs().max() < 1 / 255
+    assert (found.image.cpu() - expected.image).abs().max() < 0.01
+    assert (found.image.cpu() - expected.image).abs().mean() < 1e-5
     for name in ("means", "quats", "scales", "opacities", "colors"):
         assert (fast[name].cpu() - slow[name]).norm() < 0.01 * slow[name].norm(), name
 

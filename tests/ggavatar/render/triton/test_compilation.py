@@ -1,0 +1,56 @@
+"""Every kernel compiled for GPUs that are not here: it must fit into the registers of a thread (255, without spilling).
+
+The launches that are compiled are those of a small scene, with its types and constants.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+import torch
+
+from tests.support.kernel_compiler import Launch, compiled, recorded_launches
+from tests.support.render_scenes import gradients, random_camera, random_gaussians
+from tests.support.triton_kernels import interpreted
+
+pytestmark = interpreted
+MOST_REGISTERS = {
+    "project_gaussians": 64, "list_pairs": 32, "finish_lists": 32, "draw_tiles": 64,
+    "differentiate_tiles": 232, "differentiate_gaussians": 168, "finish_pose": 64,
+}  # fmt: skip
+"""More would let fewer threads run at once; 65,536 are shared by the threads of a multiprocessor."""
+
+
+@pytest.fixture(scope="module")
+def launches() -> list[Launch]:
+    from ggavatar.render.triton.rasterizer import TileRasterizer
+
+    with recorded_launches() as found:
+        for coefficients in (0, 16):
+            cloud = random_gaussians(4, coefficients, torch.float32)
+            gradients(TileRasterizer(), cloud, random_camera(8, 8, torch.float32))
+    different: list[Launch] = []
+    for launch in found:
+        if launch not in different:
+            different.append(launch)
+    assert {launch.name for launch in different} == MOST_REGISTERS.keys()
+    return different
+
+
+@pytest.mark.parametrize("target", [80, 89, 90])
+@pytest.mark.parametrize("name", MOST_REGISTERS)
+def test_kernels_compile_without_spilling(
+    name: str,
+    target: int,
+    launches: list[Launch],
+    record_property: pytest.RecordProperty,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    results = compiled([launch for launch in launches if launch.name == name], target)
+    for result in results:
+        line = f"{name} {result['constants']} sm_{target}: {result['registers']} registers"
+        record_property("kernel", line)
+        with capsys.disabled():
+            sys.stdout.write(f"\n{line}")
+        assert result["spilled"] == 0 and result["registers"] <= MOST_REGISTERS[name], result
