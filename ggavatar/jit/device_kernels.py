@@ -47,6 +47,12 @@ def _on_device_of(tensor: Tensor) -> contextlib.AbstractContextManager[Any]:
     return contextlib.nullcontext()
 
 
+def run_on(*tensors: Tensor) -> bool:
+    """Whether kernels take these tensors: float32 (or integers) on a CUDA device where they run."""
+    supported = all(tensor.dtype is torch.float32 or not tensor.dtype.is_floating_point for tensor in tensors)
+    return supported and all(tensor.device.type == "cuda" for tensor in tensors) and not missing("cuda")
+
+
 def is_capturing() -> bool:
     """Whether a CUDA graph is being captured, when nothing may be asked of the device."""
     return torch.cuda.is_current_stream_capturing()

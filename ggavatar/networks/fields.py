@@ -17,6 +17,7 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 from torch import Tensor, nn
 
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 
 if TYPE_CHECKING:
@@ -134,6 +135,8 @@ class HashTriplane(nn.Module):
         """Features at `x` (m), plane by plane, level by level; differentiable in the tables only."""
         if self.compiled_at(x):
             return cast(Tensor, _CompiledLookup.apply(kernel_points(self.box, x), self.tables, self.levels))
+        if self.config.features == 2 and device_kernels.run_on(x, self.tables):
+            return cast(Tensor, _DeviceLookup.apply(x.detach(), self.tables, self.box, self.levels))
         return lookup_in_torch(self.box.normalize(x.detach()), self.tables, self.levels)
 
     def compiled_at(self, x: Float[Tensor, "N 3"]) -> bool:
@@ -186,6 +189,34 @@ class _CompiledLookup(torch.autograd.Function):
         gradient = torch.zeros(ctx.shape)
         triplane_kernel.backward(ctx.points, upstream.contiguous().numpy(), ctx.layout, gradient.numpy())
         return None, gradient, None
+
+
+class _DeviceLookup(torch.autograd.Function):
+    """The kernels of `ggavatar.networks.triplane_triton`."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, tables: Tensor, box: Box, levels: tuple[Level, ...]) -> Tensor:
+        from ggavatar.networks import triplane_triton as kernels
+
+        x, tables = x.contiguous(), tables.detach().contiguous()
+        ctx.save_for_backward(x, tables)
+        ctx.cube, ctx.layout = kernels.Cube(*box.center, box.side), _layout_on(levels, x.device)
+        return kernels.look_up(x, ctx.cube, tables, ctx.layout)
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[None, Tensor, None, None]:
+        from ggavatar.networks import triplane_triton as kernels
+
+        x, tables = ctx.saved_tensors
+        return None, kernels.backward(x, ctx.cube, upstream.contiguous(), ctx.layout, tables), None, None
+
+
+@functools.cache
+def _layout_on(levels: tuple[Level, ...], device: torch.device) -> Any:
+    """The levels of all three planes on a device, where they stay."""
+    from ggavatar.networks import triplane_triton
+
+    return triplane_triton.device_layout(kernel_layout(levels), device)
 
 
 def kernel_points(box: Box, x: Float[Tensor, "N 3"]) -> Float32[ndarray, "3 N"]:

@@ -96,7 +96,7 @@ def _compile(launch: Launch, capability: int) -> dict[str, Any]:
     signature = {name: signature[name] for name in names}
     constants = {(names.index(name),): value for name, value in launch.constants.items()}
     pointers = {number for number, kind in enumerate(launch.types) if kind.startswith("*")}
-    numbers = {name for number, name in enumerate(names) if name not in launch.constants and number not in pointers}
+    numbers = {name for name, kind in zip(names, launch.types, strict=False) if kind.startswith("i")}
     # Triton compiles a variant for every kind of value of other numbers: 1, multiples of 16, the rest.
     assert numbers <= set(kernel.do_not_specialize), numbers - set(kernel.do_not_specialize)
     attributes = {(number,): [["tt.divisibility", 16]] for number in pointers}  # torch aligns its memory
