@@ -11,6 +11,7 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import conv2d, l1_loss
 
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 
 WINDOW, SIGMA = 11, 1.5
@@ -37,6 +38,10 @@ class DssimTarget:
         image = image.detach().contiguous()
         if image.shape[-1] == 3 and compiled_for(image):
             return _compiled_target(image)
+        if image.shape[-1] == 3 and device_kernels.run_on(image):
+            from ggavatar.losses import dssim_triton
+
+            return DssimTarget(image, *dssim_triton.prepare(image))
         mean, square_mean = _blur(torch.cat((image, image.square()), dim=-1)).chunk(2, dim=-1)
         return DssimTarget(image, mean.contiguous(), square_mean.contiguous())
 
@@ -84,6 +89,8 @@ def _image_terms(image: Tensor, target: DssimTarget | Tensor, weights: tuple[flo
     target = target if isinstance(target, DssimTarget) else DssimTarget.of(target)
     if image.shape[-1] == 3 and compiled_for(image, target.image):
         return ImageTerms(*_CompiledTerms.apply(image, target, weights))
+    if image.shape[-1] == 3 and device_kernels.run_on(image, target.image):
+        return ImageTerms(*_DeviceTerms.apply(image, target, weights).unbind())
     return image_terms_in_torch(image, target, weights)
 
 
@@ -140,6 +147,28 @@ class _CompiledTerms(torch.autograd.Function):
             signs = (image - ctx.target.image).sign() * (ctx.weights[0] / image.numel())
             return factor * gradient + more * signs, None, None
         return gradient if factor == 1 else factor * gradient, None, None
+
+
+class _DeviceTerms(torch.autograd.Function):
+    """The kernels of `ggavatar.losses.dssim_triton`; both terms in one tensor."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: DssimTarget, weights: tuple[float, float]) -> Tensor:
+        from ggavatar.losses import dssim_triton
+
+        image = image.contiguous()
+        means = target.mean.contiguous(), target.square_mean.contiguous()
+        terms, derivatives = dssim_triton.terms_of(image, target.image, means, weights)
+        ctx.save_for_backward(image, target.image, derivatives)
+        ctx.weights = weights
+        return terms
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
+        from ggavatar.losses import dssim_triton
+
+        image, target, derivatives = ctx.saved_tensors
+        return dssim_triton.gradient_of(image, target, derivatives, upstream.contiguous(), ctx.weights), None, None
 
 
 def _compiled_target(image: Tensor) -> DssimTarget:
