@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from ggavatar.geometry.transforms import matrix_to_quaternion, quaternion_multiply
 from ggavatar.geometry.triangles import TriangleFrames
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import flat, memory_of, padded
 
@@ -43,12 +44,13 @@ def bind(
         GGAvatar (Li et al. 2024), Eq. 6: r' = q(R) r0 as a Hamilton product (docs/paper.md, A3);
         Eq. 7: μ' = S R μ0 + M; Eq. 8: s' = S s0.
     """
-    if not compiled_for(local_means, local_quats, local_log_scales, *local_frames):
+    given = local_means, local_quats, local_log_scales
+    if not any(part.requires_grad for part in local_frames) and device_kernels.run_on(*given, *local_frames):
+        return WorldGeometry(*_DeviceBind.apply(*given, face_index, *local_frames))
+    if not compiled_for(*given, *local_frames):
         return bind_in_torch(local_means, local_quats, local_log_scales, face_index, local_frames)
     quats = matrix_to_quaternion(local_frames.rotations) if local_frames.rotations.requires_grad else None
-    return WorldGeometry(
-        *_CompiledBind.apply(local_means, local_quats, local_log_scales, face_index, *local_frames, quats)
-    )
+    return WorldGeometry(*_CompiledBind.apply(*given, face_index, *local_frames, quats))
 
 
 def bind_in_torch(
@@ -101,6 +103,28 @@ class _CompiledBind(torch.autograd.Function):
             sums = kernels.TriangleArrays(*(value.numpy() for value in to_faces))
             kernels.add_to_faces(ctx.local, ctx.index, faces, wanted, ctx.scales.reshape(-1, 3), sums)
         return *gradients, None, *to_faces
+
+
+class _DeviceBind(torch.autograd.Function):
+    """The kernels of `ggavatar.gaussians.binding_triton`, without gradients of the triangles."""
+
+    @staticmethod
+    def forward(ctx: Any, *inputs: Tensor) -> tuple[Tensor, ...]:
+        from ggavatar.gaussians import binding_triton as kernels
+
+        means, quats, log_scales, index, *triangles = (value.detach().contiguous() for value in inputs)
+        world = kernels.bind(kernels.Geometry(means, quats, log_scales), index, kernels.Triangles(*triangles))
+        ctx.save_for_backward(quats, index, *triangles, world.scales)
+        return tuple(world)
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        from ggavatar.gaussians import binding_triton as kernels
+
+        quats, index, *triangles, world_scales = ctx.saved_tensors
+        given = kernels.Geometry(*(value.contiguous() for value in upstream))
+        found = kernels.backward(quats, index, kernels.Triangles(*triangles), world_scales, given)
+        return *found, None, None, None, None
 
 
 def _allocate(count: int) -> tuple[Tensor, Tensor, Tensor]:

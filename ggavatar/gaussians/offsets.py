@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from ggavatar.gaussians.binding import WorldGeometry
 from ggavatar.geometry.transforms import quaternion_multiply
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 
@@ -74,6 +75,8 @@ def refine(
     """
     if rotation == "product" and compiled_for(means, quats, scales, offsets.rows):
         return WorldGeometry(*_CompiledRefine.apply(means, quats, scales, offsets.rows, unit))
+    if rotation == "product" and device_kernels.run_on(means, quats, scales, offsets.rows):
+        return WorldGeometry(*_DeviceRefine.apply(means, quats, scales, offsets.rows, unit))
     return refine_in_torch(means, quats, scales, offsets, unit, rotation)
 
 
@@ -118,6 +121,27 @@ class _CompiledRefine(torch.autograd.Function):
         found = kernels.GeometryArrays(wanted.means, memory_of(quats), memory_of(scales))
         kernels.backward(ctx.bound, ctx.rows, ctx.unit, wanted, found, to_rows.numpy())
         return upstream[0], quats, scales, to_rows, None
+
+
+class _DeviceRefine(torch.autograd.Function):
+    """The kernels of `ggavatar.gaussians.offsets_triton`."""
+
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> tuple[Tensor, ...]:
+        from ggavatar.gaussians import offsets_triton as kernels
+
+        *bound, rows = (value.detach().contiguous() for value in inputs[:4])
+        ctx.unit = inputs[4]
+        ctx.save_for_backward(*bound, rows)
+        return tuple(kernels.refine(kernels.Geometry(*bound), rows, ctx.unit))
+
+    @staticmethod
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        from ggavatar.gaussians import offsets_triton as kernels
+
+        *bound, rows = ctx.saved_tensors
+        given = kernels.Geometry(*(value.contiguous() for value in upstream))
+        return upstream[0], *kernels.backward(kernels.Geometry(*bound), rows, ctx.unit, given), None
 
 
 def _array(tensor: Tensor) -> Any:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 
 
@@ -38,12 +39,19 @@ def triangle_frames(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -
     References:
         GGAvatar (Li et al. 2024), Eq. 4–5; GaussianAvatars (Qian et al. 2024), Sec. 3.2.
     """
-    if (vertices.requires_grad and torch.is_grad_enabled()) or not compiled_for(vertices, faces):
+    if vertices.requires_grad and torch.is_grad_enabled():
         return triangle_frames_torch(vertices, faces)
+    count, on_device = len(faces), device_kernels.run_on(vertices, faces)
+    if not (on_device or compiled_for(vertices, faces)):
+        return triangle_frames_torch(vertices, faces)
+    frames = TriangleFrames(vertices.new_empty(count, 3), vertices.new_empty(count, 3, 3), vertices.new_empty(count))
+    if on_device:
+        from ggavatar.geometry import triangles_triton
+
+        triangles_triton.fill_frames(vertices.detach().contiguous(), faces.contiguous(), *frames)
+        return frames
     from ggavatar.geometry.triangles_kernel import fill_frames
 
-    count = len(faces)
-    frames = TriangleFrames(vertices.new_empty(count, 3), vertices.new_empty(count, 3, 3), vertices.new_empty(count))
     fill_frames(
         *(value.detach().contiguous().numpy() for value in (vertices, faces)), *(part.numpy() for part in frames)
     )

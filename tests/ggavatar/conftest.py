@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -134,3 +137,24 @@ def toy_capture(tmp_path_factory: pytest.TempPathFactory, toy_head: HeadModel) -
     described = Capture(folder, "egg", SIZE, SIZE, 25.0, numbers, {"every-20th": split}, tracking, toy_head.version)
     described.write(images, head_arrays(toy_head))
     return Capture.open(folder)
+
+
+@pytest.fixture
+def registers_of(
+    record_property: Callable[[str, object], None], capsys: pytest.CaptureFixture[str]
+) -> Callable[[list[Any], int], dict[str, int]]:
+    """Compile launches for a GPU; the most registers by kernel, which are printed, and nothing may be spilled."""
+    from tests.support.kernel_compiler import compiled
+
+    def compile_all(launches: list[Any], target: int) -> dict[str, int]:
+        most: dict[str, int] = {}
+        for result in compiled(launches, target):
+            line = f"{result['kernel']} sm_{target} {result['constants']}: {result['registers']} registers"
+            record_property("kernel", line)
+            with capsys.disabled():
+                sys.stdout.write(f"\n{line}")
+            assert result["spilled"] == 0, f"{line}, {result['spilled']} bytes spilled"
+            most[result["kernel"]] = max(most.get(result["kernel"], 0), result["registers"])
+        return most
+
+    return compile_all

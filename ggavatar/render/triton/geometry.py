@@ -8,35 +8,8 @@ from __future__ import annotations
 import triton.language as tl
 
 from ggavatar.jit.triton_kernels import device_function
+from ggavatar.jit.triton_vectors import combined, dot
 from ggavatar.render.triton.layout import CLAMP_MARGIN, LOW_PASS, MIN_NORM
-
-
-@device_function
-def load_3(base, row, mask):
-    """Three consecutive numbers of every row of a matrix [N, 3]; 0 where `mask` is false."""
-    at = base + row * 3
-    return (
-        tl.load(at, mask=mask, other=0.0),
-        tl.load(at + 1, mask=mask, other=0.0),
-        tl.load(at + 2, mask=mask, other=0.0),
-    )
-
-
-@device_function
-def load_quats(base, row, mask):
-    """Quaternions of rows of [N, 4]; identity where `mask` is false."""
-    at = base + row * 4
-    w, x = tl.load(at, mask=mask, other=1.0), tl.load(at + 1, mask=mask, other=0.0)
-    return w, x, tl.load(at + 2, mask=mask, other=0.0), tl.load(at + 3, mask=mask, other=0.0)
-
-
-@device_function
-def store_3(base, row, mask, a):
-    """Write three numbers to every row of a matrix [N, 3]."""
-    at = base + row * 3
-    tl.store(at, a[0], mask=mask)
-    tl.store(at + 1, a[1], mask=mask)
-    tl.store(at + 2, a[2], mask=mask)
 
 
 @device_function
@@ -66,42 +39,6 @@ def axis_view(intrinsics, AXIS: tl.constexpr, size):
     focal, principal = tl.load(intrinsics + 4 * AXIS), tl.load(intrinsics + 3 * AXIS + 2)
     margin = CLAMP_MARGIN * 0.5 * size / focal
     return focal, principal, -principal / focal - margin, (size - principal) / focal + margin
-
-
-@device_function
-def dot(a, b):
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@device_function
-def scaled(factor, a):
-    """A number times a vector."""
-    return factor * a[0], factor * a[1], factor * a[2]
-
-
-@device_function
-def product(a, b):
-    """Elementwise product of vectors."""
-    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
-
-
-@device_function
-def combined(x, a, y, b):
-    """The linear combination x · a + y · b of vectors."""
-    return x * a[0] + y * b[0], x * a[1] + y * b[1], x * a[2] + y * b[2]
-
-
-@device_function
-def added(a, b):
-    """Sum of vectors."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@device_function
-def masked(mask, a):
-    """A vector, zero where `mask` is false."""
-    return tl.where(mask, a[0], 0.0), tl.where(mask, a[1], 0.0), tl.where(mask, a[2], 0.0)
 
 
 @device_function

@@ -5,25 +5,17 @@ from __future__ import annotations
 import triton.language as tl
 
 from ggavatar.jit.triton_kernels import device_function, device_kernel
+from ggavatar.jit.triton_vectors import added, combined, dot, load_3, load_4, masked, product, scaled, store_3
 from ggavatar.render.triton.geometry import (
-    added,
     axis_view,
     camera_center,
     camera_rotation,
     camera_translation,
-    combined,
     covariance,
-    dot,
     from_rows,
     image_axis,
-    load_3,
-    load_quats,
-    masked,
     onto_rows,
-    product,
     rotation_columns,
-    scaled,
-    store_3,
     unit_quaternion,
     whitening,
 )
@@ -70,7 +62,7 @@ def differentiate_gaussians(
     to_color, to_depth, to_opacity, to_uv, to_square = _gathered(sums, first, count)
 
     mean, scale = load_3(means, row, alive), load_3(scales, row, alive)
-    unit, inverse_length = unit_quaternion(load_quats(quats, row, alive))
+    unit, inverse_length = unit_quaternion(load_4(quats, row, alive))
     rotation, translation = camera_rotation(pose), camera_translation(pose)
     x, y, depth = onto_rows(rotation, mean)
     x, y, depth = x + translation[0], y + translation[1], depth + translation[2]

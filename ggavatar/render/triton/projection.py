@@ -5,6 +5,7 @@ from __future__ import annotations
 import triton.language as tl
 
 from ggavatar.jit.triton_kernels import device_function, device_kernel
+from ggavatar.jit.triton_vectors import load_3, load_4, product
 from ggavatar.render.triton.geometry import (
     axis_view,
     camera_center,
@@ -12,10 +13,7 @@ from ggavatar.render.triton.geometry import (
     camera_translation,
     covariance,
     image_axis,
-    load_3,
-    load_quats,
     onto_rows,
-    product,
     rotation_columns,
     unit_quaternion,
     whitening,
@@ -62,7 +60,7 @@ def project_gaussians(
     """
     row = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     alive = row < rows
-    mean, quat, scale = load_3(means, row, alive), load_quats(quats, row, alive), load_3(scales, row, alive)
+    mean, quat, scale = load_3(means, row, alive), load_4(quats, row, alive), load_3(scales, row, alive)
     opacity = tl.load(opacities + row, mask=alive, other=0.0)
     rotation, translation = camera_rotation(pose), camera_translation(pose)
     x, y, depth = onto_rows(rotation, mean)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor
 
 from ggavatar.jit import device_kernels
 from ggavatar.networks.fields import Box, HashTriplane, HashTriplaneConfig, lookup_in_torch
-from tests.support.kernel_compiler import compiled, recorded_launches
+from tests.support.kernel_compiler import recorded_launches
 from tests.support.triton_kernels import interpreted
 
 pytestmark = interpreted
@@ -60,10 +62,8 @@ def test_positions_that_are_not_numbers_are_looked_up_in_a_corner() -> None:
 
 @pytest.mark.usefixtures("_on_this_device")
 @pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, record_property: pytest.RecordProperty) -> None:
+def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
     with recorded_launches() as launches:
         looked_up(HashTriplaneConfig(), torch.zeros(3, 3), torch.ones(3, 72))
     assert [launch.name for launch in launches] == ["look_up_points", "spread_gradient"]
-    for result in compiled(launches, target):
-        record_property("kernel", f"{result['kernel']} sm_{target}: {result['registers']} registers")
-        assert result["spilled"] == 0 and result["registers"] <= 64, result
+    assert max(registers_of(launches, target).values()) <= 64
