@@ -1,4 +1,4 @@
-"""Rasterizer of discs (PointAvatar): compiled kernels on a CPU, plain torch elsewhere."""
+"""Rasterizer of discs (PointAvatar): compiled kernels on a CPU, Triton kernels on CUDA, plain torch elsewhere."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from ggavatar.core import Camera, Gaussians, Rasterizer
 from ggavatar.errors import InputError
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.render.checks import camera_tensors, check_finite, check_shapes
 from ggavatar.render.discs import reference
@@ -23,10 +24,27 @@ def rasterizer(device: torch.device | str, backend: str = "auto") -> Rasterizer:
     """The rasterizer of discs for tensors on `device`.
 
     Args:
-        device: Device of the points; both rasterizers work on any.
+        device: Device of the points.
         backend: `reference` for plain torch; any other name chooses the fastest one for the tensors it is given.
     """
-    return _reference if backend == "reference" else rasterize
+    if backend == "reference":
+        return _reference
+    return _on_device() if torch.device(device).type == "cuda" and not device_kernels.missing("cuda") else rasterize
+
+
+def _on_device() -> Rasterizer:
+    """A new rasterizer of Triton kernels, which learns as it renders; what is not float32 goes to the reference."""
+    from ggavatar.render.discs.device_rasterizer import DeviceDiscs
+
+    draw = DeviceDiscs()
+
+    def rasterize_on_device(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> DiscRendering:
+        discs = _discs(gaussians, camera, background)
+        if len(discs.means) == 0 or not device_kernels.run_on(discs.means, discs.colors):
+            return _reference(gaussians, camera, background)
+        return draw(discs, camera, background)
+
+    return rasterize_on_device
 
 
 def rasterize(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> DiscRendering:
@@ -60,15 +78,21 @@ def _reference(gaussians: Gaussians, camera: Camera, background: Tensor) -> Disc
 
 
 def _checked(gaussians: Gaussians, camera: Camera, background: Tensor) -> Discs:
-    """The discs, after checking that they can be rendered."""
+    """The discs, after checking that they can be rendered and are finite."""
+    discs = _discs(gaussians, camera, background)
+    rendered = {"gaussians.means": discs.means, "gaussians.colors": discs.colors}
+    check_finite(rendered | camera_tensors(camera, background))
+    return discs
+
+
+def _discs(gaussians: Gaussians, camera: Camera, background: Tensor) -> Discs:
+    """The discs, after checking what can be checked without looking at their numbers."""
     if not isinstance(gaussians, Discs) or gaussians.colors.ndim != 2:
         raise InputError(
             f"expected discs with RGB colors, found {type(gaussians).__name__}; "
             "render Gaussians with the rasterizer of ggavatar.render.backends.pick"
         )
     check_shapes(gaussians, camera, background)
-    rendered = {"gaussians.means": gaussians.means, "gaussians.colors": gaussians.colors}
-    check_finite(rendered | camera_tensors(camera, background))
     return gaussians
 
 

@@ -7,7 +7,9 @@ from typing import Any
 
 from torch import Tensor
 
+from ggavatar.errors import InputError
 from ggavatar.jit import device_kernels
+from ggavatar.render.checks import FIELDS, VIEW_NAMES
 
 FIRST_GUESS = 8.0
 """Pairs per Gaussian before a rendering has told."""
@@ -17,6 +19,9 @@ HEADROOM = 1.5
 
 STEP = 4096
 """Capacities are multiples of this, so that memory is reused when the number of Gaussians changes a little."""
+
+CHECKED = (*(f"gaussians.{name}" for name in FIELDS), *VIEW_NAMES)
+"""Names of the tensors that are checked, in the order of the bits in a report."""
 
 
 @dataclass(frozen=True)
@@ -80,3 +85,33 @@ class Capacity:
         """Follow the number of pairs, if it comes close to the capacity or needs less than half of it."""
         if report.rows and not 0.3 * report.capacity < report.pairs < 0.85 * report.capacity:
             self._per_gaussian[report.size] = HEADROOM * report.pairs / report.rows
+
+
+class Memory:
+    """What a rasterizer remembers: capacities, and the reports that are under way."""
+
+    def __init__(self) -> None:
+        self._capacity, self._reports = Capacity(), Reports()
+
+    def settle(self) -> None:
+        """Learn from the reports that have arrived, without waiting.
+
+        Raises:
+            InputError: A tensor of an earlier rendering held NaN or infinity.
+        """
+        for report in self._reports.arrived():
+            self._capacity.learn(report)
+            names = [name for bit, name in enumerate(CHECKED) if report.faults >> bit & 1]
+            if names:
+                raise InputError(
+                    f"{', '.join(names)}: expected finite numbers, found NaN or infinity in an earlier rendering; "
+                    "the training diverged or the capture is damaged: lower the learning rates or check the capture"
+                )
+
+    def capacity(self, size: tuple[int, int], rows: int) -> int:
+        """Capacity for `rows` Gaussians in an image of `size`, width and height in px."""
+        return self._capacity.of(size, rows)
+
+    def send(self, size: tuple[int, int], rows: int, capacity: int, status: Tensor) -> None:
+        """Start to copy the status of a rendering to the host."""
+        self._reports.send(size, rows, capacity, status)

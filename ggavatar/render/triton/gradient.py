@@ -58,7 +58,7 @@ def differentiate_gaussians(
     alive = rank < rows
     row = tl.load(order + rank, mask=alive, other=0).to(tl.int32)
     seen = alive & (tl.load(radii + row, mask=alive, other=0.0) > 0)
-    first, count = _places(ends, counts, rank, row, alive, rows, capacity)
+    first, count = places_of(ends, counts, rank, row, alive, rows, capacity)
     to_color, to_depth, to_opacity, to_uv, to_square = _gathered(sums, first, count)
 
     mean, scale = load_3(means, row, alive), load_3(scales, row, alive)
@@ -134,7 +134,7 @@ def _differentiate_colors(
 
 
 @device_function
-def _places(ends, counts, rank, row, alive, rows, capacity):
+def places_of(ends, counts, rank, row, alive, rows, capacity):
     """The first place of every Gaussian's sums, and their number: one place, its rank, if the pairs overflowed."""
     end, count = tl.load(ends + rank, mask=alive, other=0), tl.load(counts + row, mask=alive, other=0)
     overflowed = tl.load(ends + rows - 1) > capacity

@@ -80,8 +80,8 @@ def project_gaussians(
     seen = alive & (depth > NEAR) & (opacity >= MIN_ALPHA) & (determinant < MAX_DETERMINANT)
     seen = seen & (center_x + half_x > 0) & (center_x - half_x < width)
     seen = seen & (center_y + half_y > 0) & (center_y - half_y < height)
-    left, across = _covered_tiles(center_x, half_x, width, seen)
-    top, down = _covered_tiles(center_y, half_y, height, seen)
+    left, across = covered_tiles(center_x, half_x, width, seen)
+    top, down = covered_tiles(center_y, half_y, height, seen)
     _store_places(means2d, radii, boxes, counts, depths, row, alive, (
         tl.where(seen, center_x, 0.0), tl.where(seen, center_y, 0.0), tl.where(seen, tl.maximum(half_x, half_y), 0.0),
         left, top, across, down, depth,
@@ -89,11 +89,11 @@ def project_gaussians(
 
     if HELD == 0:
         red, green, blue = load_3(colors, row, alive)
-        color_fault = ~_finite(red + green + blue)
+        color_fault = ~is_finite(red + green + blue)
     else:
         towards, _ = direction(mean, camera_center(rotation, translation))
         red, green, blue = colors_of(colors, row, alive, towards, HELD, DEGREE)
-        color_fault = _finite(towards[0] + towards[1] + towards[2]) & ~_finite(red + green + blue)
+        color_fault = is_finite(towards[0] + towards[1] + towards[2]) & ~is_finite(red + green + blue)
     a, b, c = whitening(xx, xy, yy, determinant)
     at = records + row * RECORD
     tl.store(at + WHITEN_XX, tl.where(seen, WHITEN * a, 0.0), mask=alive)
@@ -109,11 +109,11 @@ def project_gaussians(
     tl.store(at + DEPTH, tl.where(seen, depth, 0.0), mask=alive)
     _report_faults(status, alive, mean, quat, scale, opacity, color_fault)
     if tl.program_id(0) == 0:
-        _report_view_faults(status, pose, intrinsics, background)
+        report_view_faults(status, pose, intrinsics, background)
 
 
 @device_function
-def _covered_tiles(center, half, size, seen):
+def covered_tiles(center, half, size, seen):
     """First tile whose pixel centers the interval can reach, and how many tiles it reaches."""
     low = tl.maximum(tl.ceil(center - half - (0.5 + SLACK_PX)), 0.0)
     high = tl.minimum(tl.floor(center + half - (0.5 - SLACK_PX)), size - 1.0)
@@ -139,7 +139,7 @@ def _store_places(means2d, radii, boxes, counts, depths, row, alive, place):
 
 
 @device_function
-def _finite(value):
+def is_finite(value):
     """Whether numbers are neither NaN nor infinite."""
     return tl.abs(value) <= LARGEST
 
@@ -147,20 +147,20 @@ def _finite(value):
 @device_function
 def _report_faults(status, alive, mean, quat, scale, opacity, color_fault):
     """Set the bits of the tensors, in the order of `ggavatar.render.checks.FIELDS`, that hold NaN or infinity."""
-    bits = tl.where(_finite(mean[0]) & _finite(mean[1]) & _finite(mean[2]), 0, 1)
-    bits |= tl.where(_finite(quat[0]) & _finite(quat[1]) & _finite(quat[2]) & _finite(quat[3]), 0, 2)
-    bits |= tl.where(_finite(scale[0]) & _finite(scale[1]) & _finite(scale[2]), 0, 4)
-    bits |= tl.where(_finite(opacity), 0, 8) | tl.where(color_fault, 16, 0)
+    bits = tl.where(is_finite(mean[0]) & is_finite(mean[1]) & is_finite(mean[2]), 0, 1)
+    bits |= tl.where(is_finite(quat[0]) & is_finite(quat[1]) & is_finite(quat[2]) & is_finite(quat[3]), 0, 2)
+    bits |= tl.where(is_finite(scale[0]) & is_finite(scale[1]) & is_finite(scale[2]), 0, 4)
+    bits |= tl.where(is_finite(opacity), 0, 8) | tl.where(color_fault, 16, 0)
     if tl.max(tl.where(alive, bits, 0), axis=0) > 0:
         tl.atomic_or(status + FAULTS + tl.zeros_like(bits), bits, mask=alive & (bits > 0), sem="relaxed")
 
 
 @device_function
-def _report_view_faults(status, pose, intrinsics, background):
+def report_view_faults(status, pose, intrinsics, background):
     """Set the bits of the view's tensors, in the order of `ggavatar.render.checks.VIEW_NAMES`, after those above."""
     k = tl.arange(0, 16)
-    bits = tl.where(_finite(tl.load(intrinsics + k, mask=k < 9, other=0.0)), 0, 32)
-    bits |= tl.where(_finite(tl.load(pose + k)), 0, 64)
-    bits |= tl.where(_finite(tl.load(background + k, mask=k < 3, other=0.0)), 0, 128)
+    bits = tl.where(is_finite(tl.load(intrinsics + k, mask=k < 9, other=0.0)), 0, 32)
+    bits |= tl.where(is_finite(tl.load(pose + k)), 0, 64)
+    bits |= tl.where(is_finite(tl.load(background + k, mask=k < 3, other=0.0)), 0, 128)
     if tl.max(bits, axis=0) > 0:
         tl.atomic_or(status + FAULTS + tl.zeros_like(bits), bits, mask=bits > 0, sem="relaxed")

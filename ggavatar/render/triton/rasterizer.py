@@ -18,20 +18,17 @@ from torch.autograd.function import once_differentiable
 from ggavatar.core import Camera, Gaussians, Rendering
 from ggavatar.errors import InputError
 from ggavatar.render import reference
-from ggavatar.render.checks import FIELDS, VIEW_NAMES, check_shapes
+from ggavatar.render.checks import FIELDS, check_shapes
 from ggavatar.render.harmonics import used_degree
 from ggavatar.render.triton import stages
-from ggavatar.render.triton.capacity import Capacity, Report, Reports
-
-CHECKED = (*(f"gaussians.{name}" for name in FIELDS), *VIEW_NAMES)
-"""Names of the tensors that are checked, in the order of the bits in a report."""
+from ggavatar.render.triton.capacity import Memory
 
 
 class TileRasterizer:
     """A rasterizer that remembers how many pairs of Gaussian and tile its renderings had."""
 
     def __init__(self) -> None:
-        self._capacity, self._reports = Capacity(), Reports()
+        self._memory = Memory()
 
     def __call__(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
         """Render Gaussians on a constant background.
@@ -54,34 +51,15 @@ class TileRasterizer:
                 "camera.intrinsics: the triton rasterizer computes no gradient of intrinsics; detach them, or use the "
                 "reference rasterizer"
             )
-        self.settle()
+        self._memory.settle()
         rows = gaussians.means.shape[0]
         if rows == 0:
             return reference.rasterize(gaussians, camera, background)
         size = camera.width, camera.height
-        capacity = self._capacity.of(size, rows)
+        capacity = self._memory.capacity(size, rows)
         rendering, status = _rasterize(gaussians, camera, background, capacity)
-        self._reports.send(size, rows, capacity, status)
+        self._memory.send(size, rows, capacity, status)
         return rendering
-
-    def settle(self) -> None:
-        """Learn from the reports that have arrived, without waiting.
-
-        Raises:
-            InputError: A tensor of an earlier rendering held NaN or infinity.
-        """
-        for report in self._reports.arrived():
-            self._capacity.learn(report)
-            _check(report)
-
-
-def _check(report: Report) -> None:
-    names = [name for bit, name in enumerate(CHECKED) if report.faults >> bit & 1]
-    if names:
-        raise InputError(
-            f"{', '.join(names)}: expected finite numbers, found NaN or infinity in an earlier rendering; "
-            "the training diverged or the capture is damaged: lower the learning rates or check the capture"
-        )
 
 
 def _rasterize(gaussians: Gaussians, camera: Camera, background: Tensor, capacity: int) -> tuple[Rendering, Tensor]:
@@ -115,11 +93,13 @@ class _Rasterize(torch.autograd.Function):
         intrinsics, *cloud = inputs
         view = stages.View(pose, intrinsics, background, *shape)
         footprints, status = stages.project(view, tuple(cloud), means2d.detach())
-        lists = stages.list_pairs(view, footprints, capacity, status)
+        lists = stages.list_pairs(stages.tiles_of(view.width, view.height), footprints.placed, capacity, status)
         canvas = stages.draw(view, footprints.records, lists)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(footprints.radii, status)
-        ctx.save_for_backward(pose, intrinsics, background, *cloud, *footprints, *lists, *canvas)
+        ctx.save_for_backward(
+            pose, intrinsics, background, *cloud, *footprints[:2], *footprints.placed, *lists, *canvas
+        )
         ctx.shape = shape
         return canvas.image, canvas.alpha, canvas.depth, footprints.radii, status
 
@@ -130,7 +110,8 @@ class _Rasterize(torch.autograd.Function):
         pose, intrinsics, background, *saved = ctx.saved_tensors
         cloud, rest = tuple(saved[:5]), saved[5:]
         view = stages.View(pose, intrinsics, background, *ctx.shape)
-        footprints, lists, canvas = stages.Footprints(*rest[:5]), stages.Lists(*rest[5:10]), stages.Canvas(*rest[10:])
+        footprints = stages.Footprints(rest[0], rest[1], stages.Placed(*rest[2:5]))
+        lists, canvas = stages.Lists(*rest[5:10]), stages.Canvas(*rest[10:])
         to_image, to_alpha, to_depth, *_ = (None if k is None else k.float().contiguous() for k in incoming)
         sums = stages.differentiate_tiles(view, footprints.records, lists, canvas, (to_image, to_alpha, to_depth))
         gradients, to_means2d, to_pose = stages.differentiate_gaussians(view, cloud, footprints, lists, sums)

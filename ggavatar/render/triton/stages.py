@@ -32,20 +32,21 @@ class View(NamedTuple):
     held: int
     degree: int
 
-    @property
-    def tiles(self) -> tuple[int, int]:
-        """Tiles across and down."""
-        return -(-self.width // TILE.value), -(-self.height // TILE.value)
 
+class Placed(NamedTuple):
+    """Depths [N] of Gaussians, infinite for those in no tile, their boxes [N, 4] of tiles and the boxes' sizes [N]."""
 
-class Footprints(NamedTuple):
-    """The output of projection (`ggavatar.render.triton.projection`)."""
-
-    records: Tensor
-    radii: Tensor
     depths: Tensor
     boxes: Tensor
     counts: Tensor
+
+
+class Footprints(NamedTuple):
+    """The output of projection (`ggavatar.render.triton.projection`): records, radii, and where they are."""
+
+    records: Tensor
+    radii: Tensor
+    placed: Placed
 
 
 class Lists(NamedTuple):
@@ -71,6 +72,11 @@ class Canvas(NamedTuple):
     light: Tensor
 
 
+def tiles_of(width: int, height: int) -> tuple[int, int]:
+    """Tiles across and down."""
+    return -(-width // TILE.value), -(-height // TILE.value)
+
+
 def project(view: View, cloud: tuple[Tensor, ...], means2d: Tensor) -> tuple[Footprints, Tensor]:
     """Project Gaussians (means, quats, scales, opacities, colors); also writes `means2d`, and returns the status."""
     rows, device = len(means2d), means2d.device
@@ -85,21 +91,20 @@ def project(view: View, cloud: tuple[Tensor, ...], means2d: Tensor) -> tuple[Foo
         records, means2d, radii, depths, boxes, counts, status, rows, view.width, view.height,
         HELD=view.held, DEGREE=view.degree, BLOCK=BLOCK,
     )  # fmt: skip
-    return Footprints(records, radii, depths, boxes, counts), status
+    return Footprints(records, radii, Placed(depths, boxes, counts)), status
 
 
-def list_pairs(view: View, footprints: Footprints, capacity: int, status: Tensor) -> Lists:
-    """Sort Gaussians into the lists of tiles; pairs beyond the capacity are not listed."""
-    rows, device = len(footprints.counts), status.device
-    across, down = view.tiles
-    tiles = across * down
-    order = torch.sort(footprints.depths, stable=True).indices
-    ends = footprints.counts.index_select(0, order).cumsum(0)
+def list_pairs(size: tuple[int, int], placed: Placed, capacity: int, status: Tensor) -> Lists:
+    """Sort Gaussians into the lists of the tiles across and down; pairs beyond the capacity are not listed."""
+    rows, device = len(placed.counts), status.device
+    across, tiles = size[0], size[0] * size[1]
+    order = torch.sort(placed.depths, stable=True).indices
+    ends = placed.counts.index_select(0, order).cumsum(0)
     kind = torch.int16 if tiles <= NARROW_TILES else torch.int32
     pair_tiles = torch.empty(capacity, dtype=kind, device=device)
     pair_rows, entries = (torch.empty(capacity, dtype=torch.int32, device=device) for _ in range(2))
     device_kernels.launch(
-        pairs.list_pairs, -(-capacity // BLOCK), order, ends, footprints.boxes, pair_tiles, pair_rows, status,
+        pairs.list_pairs, -(-capacity // BLOCK), order, ends, placed.boxes, pair_tiles, pair_rows, status,
         rows, across, tiles, capacity, rows.bit_length(), BLOCK=BLOCK,
     )  # fmt: skip
     sorted_tiles, places = torch.sort(pair_tiles, stable=True)
@@ -113,15 +118,19 @@ def list_pairs(view: View, footprints: Footprints, capacity: int, status: Tensor
 
 def draw(view: View, records: Tensor, lists: Lists) -> Canvas:
     """Draw all tiles."""
-    shape = view.height, view.width
-    image, alpha, depth, light = (torch.empty(*shape, channels, device=records.device) for channels in (3, 1, 1, 1))
-    across, down = view.tiles
+    canvas = new_canvas(view.width, view.height, records.device)
+    across, down = tiles_of(view.width, view.height)
     device_kernels.launch(
         drawing.draw_tiles, across * down, records, lists.entries, lists.order, lists.starts, lists.ends,
-        view.background, image, alpha, depth, light,
+        view.background, *canvas,
         len(records), len(lists.entries), view.width, view.height, across, warps=8,
     )  # fmt: skip
-    return Canvas(image, alpha, depth, light)
+    return canvas
+
+
+def new_canvas(width: int, height: int, device: torch.device) -> Canvas:
+    """An uninitialized canvas."""
+    return Canvas(*(torch.empty(height, width, channels, device=device) for channels in (3, 1, 1, 1)))
 
 
 def differentiate_tiles(
@@ -137,7 +146,7 @@ def differentiate_tiles(
     sums[:rows].zero_()  # what is added to, should the pairs have overflowed
     given = [canvas.light if gradient is None else gradient for gradient in upstream]
     has = {f"HAS_{name}": upstream[number] is not None for number, name in enumerate(("IMAGE", "ALPHA", "DEPTH"))}
-    across, down = view.tiles
+    across, down = tiles_of(view.width, view.height)
     device_kernels.launch(
         tile_gradient.differentiate_tiles, across * down, records, lists.entries, lists.order, lists.places,
         lists.starts, lists.ends, canvas.image, canvas.depth, canvas.light, *given, sums,
@@ -151,13 +160,13 @@ def differentiate_gaussians(
     view: View, cloud: tuple[Tensor, ...], footprints: Footprints, lists: Lists, sums: Tensor
 ) -> tuple[list[Tensor], Tensor, Tensor]:
     """Gradients of the Gaussians' tensors, of the projected centers, and of the pose."""
-    rows, programs = len(footprints.counts), -(-len(footprints.counts) // BLOCK)
+    rows, programs = len(footprints.placed.counts), -(-len(footprints.placed.counts) // BLOCK)
     gradients = [torch.empty_like(tensor) for tensor in cloud]
     to_means2d, to_pose = sums.new_empty(rows, 2), torch.empty_like(view.pose)
     to_poses = sums.new_empty(programs, POSE_SUMS.value)
     device_kernels.launch(
         gradient.differentiate_gaussians, programs, *cloud, view.pose, view.intrinsics,
-        footprints.records, lists.order, lists.ends, footprints.counts, footprints.radii, sums,
+        footprints.records, lists.order, lists.ends, footprints.placed.counts, footprints.radii, sums,
         *gradients, to_means2d, to_poses, rows, len(lists.entries), view.width, view.height,
         HELD=view.held, DEGREE=view.degree, BLOCK=BLOCK,
     )  # fmt: skip

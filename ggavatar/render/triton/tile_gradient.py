@@ -84,19 +84,19 @@ def differentiate_tiles(
         rest -= tl.sum(own, axis=1)
         place = tl.where(overflowed, k, tl.load(places + k, mask=there & (not overflowed), other=0).to(tl.int32))
         into = sums + place.to(tl.int64) * SUMS
-        _put(into + TO_RED, tl.sum(weight * red[:, None], axis=0), there, overflowed)
-        _put(into + TO_GREEN, tl.sum(weight * green[:, None], axis=0), there, overflowed)
-        _put(into + TO_BLUE, tl.sum(weight * blue[:, None], axis=0), there, overflowed)
-        _put(into + TO_DEPTH, tl.sum(weight * depth[:, None], axis=0), there, overflowed)
+        put(into + TO_RED, tl.sum(weight * red[:, None], axis=0), there, overflowed)
+        put(into + TO_GREEN, tl.sum(weight * green[:, None], axis=0), there, overflowed)
+        put(into + TO_BLUE, tl.sum(weight * blue[:, None], axis=0), there, overflowed)
+        put(into + TO_DEPTH, tl.sum(weight * depth[:, None], axis=0), there, overflowed)
         _put_shape(into, to_log_alpha, u, v, there, overflowed)
         first += CHUNK
         going = (first < end) & (tl.max(alive, axis=0) > 0)
     if not overflowed:
-        _clear_rest(sums, places, first, end)
+        clear_rest(sums, places, first, end, SUMS)
 
 
 @device_function
-def _put(target, value, there, overflowed):
+def put(target, value, there, overflowed):
     """Write to a pair's own place, or add to a place that several tiles share."""
     if overflowed:
         tl.atomic_add(target, value, mask=there, sem="relaxed")
@@ -108,21 +108,21 @@ def _put(target, value, there, overflowed):
 def _put_shape(into, to_log_alpha, u, v, there, overflowed):
     """Write, or add, the sums that opacity, center and covariance depend on."""
     to_u, to_v = to_log_alpha * u, to_log_alpha * v
-    _put(into + TO_LOG_ALPHA, tl.sum(to_log_alpha, axis=0), there, overflowed)
-    _put(into + TO_U, tl.sum(to_u, axis=0), there, overflowed)
-    _put(into + TO_V, tl.sum(to_v, axis=0), there, overflowed)
-    _put(into + TO_UU, tl.sum(to_u * u, axis=0), there, overflowed)
-    _put(into + TO_UV, tl.sum(to_u * v, axis=0), there, overflowed)
-    _put(into + TO_VV, tl.sum(to_v * v, axis=0), there, overflowed)
+    put(into + TO_LOG_ALPHA, tl.sum(to_log_alpha, axis=0), there, overflowed)
+    put(into + TO_U, tl.sum(to_u, axis=0), there, overflowed)
+    put(into + TO_V, tl.sum(to_v, axis=0), there, overflowed)
+    put(into + TO_UU, tl.sum(to_u * u, axis=0), there, overflowed)
+    put(into + TO_UV, tl.sum(to_u * v, axis=0), there, overflowed)
+    put(into + TO_VV, tl.sum(to_v * v, axis=0), there, overflowed)
 
 
 @device_function
-def _clear_rest(sums, places, first, end):
+def clear_rest(sums, places, first, end, COUNT: tl.constexpr):
     """Write zeros for the pairs behind the last one that a pixel shows."""
     while first < end:
         k = first + tl.arange(0, TILE * TILE)
         there = k < end
-        into = sums + tl.load(places + k, mask=there, other=0) * SUMS
-        for number in tl.static_range(SUMS):
+        into = sums + tl.load(places + k, mask=there, other=0) * COUNT
+        for number in tl.static_range(COUNT):
             tl.store(into + number, tl.zeros([TILE * TILE], tl.float32), mask=there)
         first += TILE * TILE

@@ -37,10 +37,8 @@ def test_lists_equal_those_of_a_loop(
     extent = (torch.tensor([across, down]) - corner) * torch.randint(2, (count, 2), generator=generator)
     boxes, counts = torch.cat((corner, extent), 1).int(), extent.prod(1).int()
     depths = torch.where(counts > 0, torch.randint(4, (count,), generator=generator).float(), torch.inf)
-    empty = torch.empty(count, 12), torch.empty(count)
-    view = stages.View(torch.eye(4), torch.eye(3), torch.ones(3), 16 * across, 16 * down, 0, 0)
     status = torch.zeros(2, dtype=torch.int32)
-    lists = stages.list_pairs(view, stages.Footprints(*empty, depths, boxes, counts), 4096, status)
+    lists = stages.list_pairs((across, down), stages.Placed(depths, boxes, counts), 4096, status)
     starts, entries = lists.starts.tolist(), lists.entries.tolist()
     found = [entries[first:end] for first, end in itertools.pairwise(starts)]
     assert found == listed_by_loop(boxes, depths, across, down)

@@ -268,7 +268,7 @@ def test_too_many_pairs_cost_time_and_no_pixels(monkeypatch: pytest.MonkeyPatch)
         torch.testing.assert_close(found.image.double(), expected.image, atol=3e-5, rtol=2e-5)
         torch.testing.assert_close(found.depth.double(), expected.depth, atol=3e-5, rtol=2e-5)
         assert max(relative_error(fast[name], slow[name]) for name in slow) < 1e-4
-        (report,) = draw._reports.arrived()
-        draw._capacity.learn(report)
+        (report,) = draw._memory._reports.arrived()
+        draw._memory._capacity.learn(report)
         capacities.append(report.capacity)
     assert capacities[0] == 64 < report.pairs <= capacities[1]
