@@ -142,7 +142,7 @@ def differentiate_tiles(
 ) -> Tensor:
     """Sums [capacity, SUMS] over pixels, from the gradients of image, alpha and depth."""
     rows, capacity = len(records), len(lists.entries)
-    sums = torch.empty(capacity, SUMS.value, device=records.device)
+    sums = records.new_empty(capacity, SUMS.value)
     sums[:rows].zero_()  # what is added to, should the pairs have overflowed
     given = [canvas.light if gradient is None else gradient for gradient in upstream]
     has = {f"HAS_{name}": upstream[number] is not None for number, name in enumerate(("IMAGE", "ALPHA", "DEPTH"))}
