@@ -7,10 +7,21 @@ import fnmatch
 import random
 from collections.abc import Sequence
 
-from tests.mutations import density, evaluation, importers, losses, methods, networks, rendering, training, web
+from tests.mutations import (
+    density,
+    device,
+    evaluation,
+    importers,
+    losses,
+    methods,
+    networks,
+    rendering,
+    training,
+    web,
+)
 from tests.mutations.mutation import Mutation
 
-AREAS = (methods, density, losses, networks, training, rendering, evaluation, importers, web)
+AREAS = (methods, density, losses, networks, training, rendering, device, evaluation, importers, web)
 MUTATIONS: tuple[Mutation, ...] = tuple(mutation for area in AREAS for mutation in area.MUTATIONS)
 
 
