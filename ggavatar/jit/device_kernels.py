@@ -49,8 +49,10 @@ def _on_device_of(tensor: Tensor) -> contextlib.AbstractContextManager[Any]:
 
 def run_on(*tensors: Tensor) -> bool:
     """Whether kernels take these tensors: float32 (or integers) on a CUDA device where they run."""
+    if not all(tensor.device.type == "cuda" for tensor in tensors):
+        return False
     supported = all(tensor.dtype is torch.float32 or not tensor.dtype.is_floating_point for tensor in tensors)
-    return supported and all(tensor.device.type == "cuda" for tensor in tensors) and not missing("cuda")
+    return supported and not missing("cuda")
 
 
 def is_capturing() -> bool:
