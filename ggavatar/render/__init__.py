@@ -1,1 +1,1 @@
-"""Differentiable rasterizers of 3D Gaussians: three backends with one interface, chosen by `backends.pick`."""
+"""Differentiable rasterizers of 3D Gaussians: four backends with one interface, chosen by `backends.pick`."""

@@ -1,4 +1,4 @@
-"""The CUDA rasterizer: the gsplat library behind our interface (Ye et al. 2025, arXiv 2409.06765; gsplat 1.5).
+"""A yardstick on CUDA: the gsplat library behind our interface (Ye et al. 2025, arXiv 2409.06765; gsplat 1.5).
 
 One constant cannot be set and differs from `ggavatar.render.constants`: gsplat 1.5.3 limits alpha to 0.999, not 0.99.
 """

@@ -1,7 +1,7 @@
 """The reference rasterizer in plain torch: any dtype, any device, differentiable in everything.
 
 It blends all Gaussians of an image tile at once. Its memory grows with pixels × Gaussians per tile, so it suits small
-images; `ggavatar.render.cpu.rasterizer` and `ggavatar.render.gsplat` are the fast ones.
+images; `ggavatar.render.cpu.rasterizer` and `ggavatar.render.triton.rasterizer` are the fast ones.
 """
 
 from __future__ import annotations
