@@ -1,0 +1,35 @@
+"""The command ggavatar-view: a run, a capture or a file of Gaussians in a browser."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import tyro
+
+from evaluate.viewer.options import Options, check, with_first_camera
+from ggavatar.cli.run import run_command
+from ggavatar.cli.version import handle_version_flag
+from ggavatar.text.terminal import write_err
+
+
+def main() -> int:
+    """Run the command; Ctrl-C is how it ends, with exit code 0; 1 failure, 2 bad input."""
+
+    def body() -> None:
+        handle_version_flag("ggavatar-view")
+        arguments = with_first_camera(sys.argv[1:])
+        options = tyro.cli(Options, prog="ggavatar-view", description=Options.__doc__, args=arguments)
+        check(options)
+        from evaluate.viewer.session import view
+
+        try:
+            view(options, threading.Event())
+        except KeyboardInterrupt:
+            write_err("the viewer has ended")
+
+    return run_command(body)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
