@@ -8,15 +8,23 @@ from dataclasses import dataclass
 
 import torch
 
-from evaluate.viewer.drawing import Drawing
+from evaluate.protocols.protocol import GIVEN
+from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
+from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
+from evaluate.viewer.capture_panel import CapturePanel
+from evaluate.viewer.capture_scene import CaptureScene
+from evaluate.viewer.drawing import Drawing, Scene
+from evaluate.viewer.file_scene import FileScene
 from evaluate.viewer.options import Options
 from evaluate.viewer.run_panel import RunPanel
 from evaluate.viewer.run_scene import RunScene
 from evaluate.viewer.server import ViewerServer, require_viser
 from ggavatar.data.background import parse_background
+from ggavatar.data.capture import DESCRIPTION, Capture
+from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.render.backends import resolve_device
 from ggavatar.text.terminal import write_err, write_out
-from ggavatar.training.run_folder import open_run
+from ggavatar.training.run_folder import Run, holds_run, open_run
 
 
 @dataclass
@@ -59,20 +67,48 @@ def _flush() -> None:
 def open_session(options: Options) -> Session:
     """Open what the options name and begin to serve it."""
     require_viser()
-    return _open_run(options)
-
-
-def _open_run(options: Options) -> Session:
-    source = options.source
+    path, source = options.shown, options.source
+    if is_gaussian_file(path):
+        device = resolve_device(options.device)
+        if source.capture is None:
+            return _show_file(options, open_standalone(path, source, device, options.backend))
+        return _show_run(options, open_gaussian_file(path, source, GIVEN, device, options.backend))
+    refuse_file_flags(path, source)
+    if (path / DESCRIPTION).is_file() and not holds_run(path):
+        return _show_capture(options, Capture.open(path))
     moved = [] if source.capture is None else [source.capture]
-    run = open_run(options.shown, resolve_device(options.device), None, options.backend, *moved)
+    return _show_run(options, open_run(path, resolve_device(options.device), None, options.backend, *moved))
+
+
+def _show_run(options: Options, run: Run) -> Session:
     scene = RunScene(run, background_of(options, run.background))
-    drawing = Drawing(scene)
-    scene.changed = drawing.wake
-    server = ViewerServer(options.port, options.public, run.capture.subject)
-    RunPanel(server, scene, drawing)
-    server.show(drawing, scene.controls.pivot)
-    return Session(server, drawing)
+    session = _serve(options, scene, run.capture.subject)
+    RunPanel(session.server, scene, session.drawing)
+    scene.changed = session.drawing.wake
+    session.server.show(session.drawing, scene.controls.pivot)
+    return session
+
+
+def _show_capture(options: Options, capture: Capture) -> Session:
+    scene = CaptureScene(capture)
+    session = _serve(options, scene, capture.subject)
+    CapturePanel(session.server, scene)
+    scene.changed = session.drawing.wake
+    session.server.show(session.drawing, scene.pivot)
+    return session
+
+
+def _show_file(options: Options, file: StandaloneGaussians) -> Session:
+    scene = FileScene(file, background_of(options, file.background))
+    session = _serve(options, scene, file.subject)
+    scene.build(session.server)
+    session.server.show(session.drawing, scene.pivot)
+    return session
+
+
+def _serve(options: Options, scene: Scene, title: str) -> Session:
+    """A server that shows nothing yet, and the thread that will draw for it."""
+    return Session(ViewerServer(options.port, options.public, title), Drawing(scene))
 
 
 def background_of(options: Options, own: torch.Tensor) -> torch.Tensor:

@@ -20,5 +20,5 @@ def bullets(title: str, texts: Sequence[str], otherwise: str) -> str:
     if not texts:
         return lines(otherwise)
     items = "".join(f"<li>{html_text(text)}</li>" for text in texts)
-    heading = f"<b>{html_text(title)}</b>"
+    heading = f"<b>{html_text(title)}</b>" if title else ""
     return f'<div style="{STYLE}">{heading}<ul style="margin: 0.2em 0; padding-left: 1.4em">{items}</ul></div>'

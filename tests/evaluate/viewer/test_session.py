@@ -16,10 +16,15 @@ import numpy as np
 import pytest
 
 from evaluate.viewer import session as sessions
+from evaluate.viewer.capture_scene import CaptureScene
+from evaluate.viewer.file_scene import FileScene
 from evaluate.viewer.options import Options, check, with_first_camera
 from evaluate.viewer.session import Session, background_of, open_session, view
 from ggavatar.errors import InputError
+from ggavatar.formats.splats.gaussian_ply import write_gaussian_ply
+from ggavatar.formats.splats.stored_gaussians import to_stored
 from ggavatar.training.run_folder import Run
+from tests.support.gaussian_cloud import cloud
 from tests.support.toy_run import toy_run
 
 pytest.importorskip("viser", reason="needs viser, which serves the viewer: pip install viser")
@@ -70,6 +75,18 @@ def test_two_clients_get_pictures_and_one_may_leave(opened: Session, run: Run) -
     before = len(clients[0].pictures)
     clients[1].wait(4)
     assert len(clients[0].pictures) == before
+
+
+def test_captures_and_files_are_told_by_what_they_are(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    write_gaussian_ply(path, to_stored(cloud()))
+    for shown, kind in ((run.capture.folder, CaptureScene), (path, FileScene)):
+        session = open_session(Options(shown, port=0, device="cpu", backend="reference"))
+        client = Client(101)
+        session.server._opened(client)
+        client.wait(1)
+        session.close()
+        assert isinstance(session.drawing.scene, kind)
 
 
 def test_it_ends_when_it_is_told_to(run: Run, capsys: Any) -> None:
