@@ -7,7 +7,7 @@ import threading
 
 import tyro
 
-from evaluate.viewer.options import Options, check, with_first_camera
+from evaluate.viewer.options import WAIT, Options, check, with_first_camera
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.text.terminal import write_err
@@ -18,13 +18,14 @@ def main() -> int:
 
     def body() -> None:
         handle_version_flag("ggavatar-view")
-        arguments = with_first_camera(sys.argv[1:])
+        is_companion = sys.argv[-1] == WAIT
+        arguments = with_first_camera(sys.argv[1:-1] if is_companion else sys.argv[1:])
         options = tyro.cli(Options, prog="ggavatar-view", description=Options.__doc__, args=arguments)
         check(options)
         from evaluate.viewer.session import view
 
         try:
-            view(options, threading.Event())
+            view(options, threading.Event(), is_companion)
         except KeyboardInterrupt:
             write_err("the viewer has ended")
 

@@ -14,6 +14,8 @@ from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions
 
 DEFAULT_PORT = 8080
+WAIT = "--wait"
+"""Only ggavatar-train --view passes this: wait for a run that does not exist yet, end when the standard input ends."""
 FIRST_CAMERA = "0"
 """What `--webcam` without a value means."""
 
@@ -39,8 +41,6 @@ class Options:
     """auto, cpu, cuda, cuda:N or mps."""
     backend: str = "auto"
     """Rasterizer, as in ggavatar-train."""
-    wait: tyro.conf.Suppress[bool] = False
-    """Wait for a run that does not exist yet, and end when the standard input ends: for ggavatar-train --view."""
 
 
 def check(options: Options) -> None:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import os
+import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 import torch
 
@@ -13,8 +17,9 @@ from evaluate.rendering.standalone_file import StandaloneGaussians, open_standal
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
 from evaluate.viewer.capture_panel import CapturePanel
 from evaluate.viewer.capture_scene import CaptureScene
-from evaluate.viewer.drawing import Drawing, Scene
+from evaluate.viewer.drawing import NICE, Drawing, Scene
 from evaluate.viewer.file_scene import FileScene
+from evaluate.viewer.following import Follower, Found, Newest, is_in_progress, open_in_progress, successor
 from evaluate.viewer.options import Options
 from evaluate.viewer.run_panel import RunPanel
 from evaluate.viewer.run_scene import RunScene
@@ -24,7 +29,16 @@ from ggavatar.data.capture import DESCRIPTION, Capture
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.render.backends import resolve_device
 from ggavatar.text.terminal import write_err, write_out
-from ggavatar.training.run_folder import Run, holds_run, open_run
+from ggavatar.training.run_folder import Run, holds_run
+
+
+@runtime_checkable  # the tests' run-time type checker needs it
+class Stoppable(Protocol):
+    """What works in a thread of its own."""
+
+    def stop(self) -> None:
+        """Work no more."""
+        ...
 
 
 @dataclass
@@ -33,18 +47,30 @@ class Session:
 
     server: ViewerServer
     drawing: Drawing
+    others: list[Stoppable] = field(default_factory=list)
 
     def close(self) -> None:
         """Stop drawing and serving."""
+        for other in self.others:
+            other.stop()
         self.server.stop()
 
 
-def view(options: Options, ended: threading.Event) -> None:
+def view(options: Options, ended: threading.Event, is_companion: bool = False) -> None:
     """Show what the options name until `ended` is set.
+
+    Args:
+        options: What to show, and where.
+        ended: Ends the viewer.
+        is_companion: Whether a training has started it: it waits for the run, and ends when the standard input ends.
 
     Raises:
         InputError: viser is not installed, or what is to be shown cannot be opened.
     """
+    if is_companion:
+        _prepare_companion(options, ended)
+        if ended.is_set():
+            return
     session = open_session(options)
     try:
         write_out(f"open {session.server.address} in a browser; Ctrl-C ends the viewer")
@@ -57,9 +83,22 @@ def view(options: Options, ended: threading.Event) -> None:
         session.close()
 
 
-def _flush() -> None:
-    import sys
+def _prepare_companion(options: Options, ended: threading.Event) -> None:
+    """Give way to the training that has started this process, end with it, and wait until it has something to show."""
+    with contextlib.suppress(AttributeError, OSError):  # not on this system
+        os.nice(NICE)
 
+    def wait_for_the_end() -> None:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdin.buffer.read()
+        ended.set()
+
+    threading.Thread(target=wait_for_the_end, name="standard input", daemon=True).start()
+    while not is_in_progress(options.shown) and not ended.wait(0.5):
+        pass
+
+
+def _flush() -> None:
     with contextlib.suppress(OSError):
         sys.stdout.flush()
 
@@ -76,17 +115,33 @@ def open_session(options: Options) -> Session:
     refuse_file_flags(path, source)
     if (path / DESCRIPTION).is_file() and not holds_run(path):
         return _show_capture(options, Capture.open(path))
-    moved = [] if source.capture is None else [source.capture]
-    return _show_run(options, open_run(path, resolve_device(options.device), None, options.backend, *moved))
+    run = open_in_progress(path, resolve_device(options.device), options.backend, source.capture)
+    return _show_run(options, run, is_followed=True)
 
 
-def _show_run(options: Options, run: Run) -> Session:
+def _show_run(options: Options, run: Run, is_followed: bool = False) -> Session:
+    blank = copy.deepcopy(run.avatar) if is_followed else None
     scene = RunScene(run, background_of(options, run.background))
     session = _serve(options, scene, run.capture.subject)
-    RunPanel(session.server, scene, session.drawing)
+    panel = RunPanel(session.server, scene, session.drawing)
     scene.changed = session.drawing.wake
     session.server.show(session.drawing, scene.controls.pivot)
+    if blank is not None:
+        session.others.append(_following(run, blank, scene, panel, session.drawing))
     return session
+
+
+def _following(run: Run, blank: torch.nn.Module, scene: RunScene, panel: RunPanel, drawing: Drawing) -> Follower:
+    """Show every newer avatar that the run folder comes to hold; the drawing thread puts it in place."""
+
+    def put(found: Found) -> None:
+        step, tensors = found
+        scene.replace_avatar(successor(blank, tensors, run.background.device), step)
+        panel.describe()
+
+    follower = Follower(Newest(run.folder, run.step), lambda found: drawing.submit(lambda: put(found)))
+    follower.start()
+    return follower
 
 
 def _show_capture(options: Options, capture: Capture) -> Session:

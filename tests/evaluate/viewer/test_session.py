@@ -33,7 +33,7 @@ pytest.importorskip("viser", reason="needs viser, which serves the viewer: pip i
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     made = toy_run(tmp_path)
-    monkeypatch.setattr(sessions, "open_run", lambda *_: made)
+    monkeypatch.setattr(sessions, "open_in_progress", lambda *_: made)
     return made
 
 
