@@ -40,6 +40,10 @@ class Canvas(Protocol):
         """Window and camera; None before they are known."""
         ...
 
+    def is_ready(self) -> bool:
+        """Whether the last picture has arrived, so that another one would not get in its way."""
+        ...
+
     def show(self, image: UInt8[ndarray, "H W 3"], is_final: bool) -> None:
         """Show a picture; the final one rests and should not be lossy."""
         ...
@@ -131,7 +135,7 @@ class Drawing:
             return 0.0
         now = self._clock()
         with self._lock:
-            canvases = dict(self._canvases)
+            canvases = {canvas: drawn for canvas, drawn in self._canvases.items() if canvas.is_ready()}
         keys = {canvas: self._key(canvas, now) for canvas in canvases}
         stale = [canvas for canvas, key in keys.items() if key is not None and key != canvases[canvas].key]
         if not stale:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 SECONDS = 1 / 15
 """Time that a picture may take while something moves, s."""
-LEAST_HEIGHT, MOST_HEIGHT = 128, 1080
+LEAST_HEIGHT, MOST_HEIGHT = 256, 1080
 """Height of pictures, px; the window's is used in between."""
 AVERAGING = 0.5
 """Weight of the last picture's time."""

@@ -42,7 +42,7 @@ class Shown:
         camera: Sees `drive`; None is the camera at rest.
         turn: Of the head, added.
         free: Whether the view may turn to where training never saw the head.
-        version: Counts what else has changed, such as the avatar.
+        version: Counts the changes, of the avatar too.
     """
 
     clip: Playback
@@ -70,6 +70,7 @@ class RunScene:
         self.changed: Callable[[], None] = lambda: None
         self.gaussians = 0
         self.beside: UInt8[np.ndarray, "H W 3"] | None = None
+        """A performer, shown beside the avatar."""
 
     def frames_of(self, name: str) -> tuple[int, ...]:
         """Frame numbers of one of `CLIPS`."""
@@ -84,22 +85,24 @@ class RunScene:
     def update(self, change: Callable[[Shown], Shown]) -> None:
         """Replace what is shown."""
         with self._lock:
-            self.shown = change(self.shown)
+            self.shown = dataclasses.replace(change(self.shown), version=self.shown.version + 1)
         self.changed()
 
     def replace_avatar(self, avatar: torch.nn.Module, step: int) -> None:
         """Show another avatar of the same run, such as a newer one."""
         self.avatar, self.run = avatar, dataclasses.replace(self.run, avatar=avatar, step=step)
-        self.update(lambda shown: dataclasses.replace(shown, version=shown.version + 1))
+        self.count()
+        self.update(lambda shown: shown)
+
+    def count(self) -> None:
+        """Count the Gaussians."""
+        self.gaussians = len(self.avatar.gaussians(self.controls.rest).means)
 
     def moment(self, now: float) -> Hashable:
         """What the picture depends on besides a browser's camera."""
         shown = self.shown
         follows = shown.drive is None or shown.mode != AVATAR
-        return (
-            shown.clip.index(now) if follows else None,
-            shown.mode, id(shown.drive), shown.turn, shown.free, shown.version,
-        )  # fmt: skip
+        return shown.version, shown.clip.index(now) if follows else None
 
     def plays(self) -> bool:
         """Whether the clip plays."""
@@ -118,7 +121,7 @@ class RunScene:
     def picture(self, place: Place, size: tuple[int, int], now: float) -> UInt8[np.ndarray, "H W 3"]:
         """The picture for a browser's camera."""
         shown = self.shown
-        if self.beside is not None and shown.drive is not None:
+        if self.beside is not None and shown.mode == AVATAR:
             return self._beside_performer(place, size, now)
         if shown.mode == AVATAR:
             return self._avatar(place, size, now)
@@ -153,9 +156,7 @@ class RunScene:
         return side_by_side(tiles, size, self._color())
 
     def _rendered(self, drive: Drive, camera: Camera) -> UInt8[np.ndarray, "H W 3"]:
-        gaussians = self.avatar.gaussians(drive)
-        self.gaussians = len(gaussians.means)
-        image = self.run.rasterize(gaussians, camera, self.background).image
+        image = self.run.rasterize(self.avatar.gaussians(drive), camera, self.background).image
         return to_8_bit(image.float().cpu().numpy())
 
     def _color(self) -> tuple[int, int, int]:

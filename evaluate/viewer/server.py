@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import threading
+import time
+import warnings
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
@@ -24,6 +27,12 @@ JPEG_QUALITY = 85
 """Of pictures while something moves; those at rest are PNG."""
 NEAREST, FARTHEST = 0.2, 4.0
 """How near and far a browser's camera may go, relative to its distance at rest."""
+QUESTION = "ggavatar-view"
+"""Something that a browser does not know; its answer says that what was sent before has arrived."""
+LONGEST_WAIT = 2.0
+"""Longest time to wait for an answer, s."""
+DECODING = 0.5
+"""Time that a browser gets to decode a picture, relative to the time of its answer."""
 POLICY_VIOLATION = 1008
 """Code with which a connection is closed (RFC 6455, 7.4.1)."""
 
@@ -105,15 +114,16 @@ class ViewerServer:
         distance = float(self._pivot[2])
         client.camera.min_orbit_distance = NEAREST * distance
         client.camera.max_orbit_distance = FARTHEST * distance
-        canvas = self._canvases.setdefault(client.client_id, ViserCanvas(client))
         if self.drawing is not None:
             drawing = self.drawing
+            canvas = self._canvases.setdefault(client.client_id, ViserCanvas(client, drawing.wake))
             client.camera.on_update(lambda _: drawing.wake())
             drawing.add(canvas)
 
     def _closed(self, client: Any) -> None:
         canvas = self._canvases.pop(client.client_id, None)
         if canvas is not None and self.drawing is not None:
+            canvas.gone()
             self.drawing.remove(canvas)
 
     def _refuse_other_sites(self, is_public: bool) -> None:
@@ -134,16 +144,32 @@ def _no_tunnel() -> None:
 
 
 class ViserCanvas:
-    """The window of one browser."""
+    """The window of one browser.
 
-    def __init__(self, client: Any) -> None:
-        self._client = client
+    A browser drops a picture that it has not decoded when the next one comes. So the next one waits until the browser
+    has answered a question that was put behind the last one, and a while longer.
+    """
+
+    def __init__(self, client: Any, arrived: Callable[[], None]) -> None:
+        """Prepare to show.
+
+        Args:
+            client: viser's handle.
+            arrived: Called when a picture has arrived, in a thread of the canvas.
+        """
+        self._client, self._arrived = client, arrived
+        self._under_way = threading.Event()
+        self._is_gone = False
+
+    def gone(self) -> None:
+        """The browser has left."""
+        self._is_gone = True
 
     def place(self) -> Place | None:
-        """Window and camera; None before the browser has told them."""
+        """Window and camera; None before the browser has told them, and when it has left."""
         camera = self._client.camera
         width, height = int(camera.image_width), int(camera.image_height)
-        if width < 1 or height < 1:
+        if self._is_gone or width < 1 or height < 1:
             return None
         w, x, y, z = map(float, camera.wxyz)
         right, up, forward = map(float, camera.position)
@@ -151,13 +177,28 @@ class ViserCanvas:
             return None
         return Place(width, height, (w, x, y, z), (right, up, forward))
 
+    def is_ready(self) -> bool:
+        """Whether the last picture has arrived."""
+        return not self._under_way.is_set()
+
     def show(self, image: UInt8[np.ndarray, "H W 3"], is_final: bool) -> None:
         """Send a picture behind the browser's empty scene, which it fills."""
-        scene = self._client.scene
-        if is_final:
-            scene.set_background_image(image, format="png")
-        else:
-            scene.set_background_image(image, format="jpeg", jpeg_quality=JPEG_QUALITY)
+        how = {"format": "png"} if is_final else {"format": "jpeg", "jpeg_quality": JPEG_QUALITY}
+        self._under_way.set()
+        with warnings.catch_warnings():  # viser warns where the browser has just left
+            warnings.simplefilter("ignore", UserWarning)
+            self._client.scene.set_background_image(image, **how)
+            self._client.flush()
+        threading.Thread(target=self._wait, daemon=True).start()
+
+    def _wait(self) -> None:
+        """Wait until the browser has answered, or has left."""
+        began = time.monotonic()
+        with contextlib.suppress(RuntimeError, TimeoutError):
+            self._client.local_storage.get_item(QUESTION, timeout=LONGEST_WAIT)
+        time.sleep(min(DECODING * (time.monotonic() - began), LONGEST_WAIT))
+        self._under_way.clear()
+        self._arrived()
 
 
 def notify(client: Any, title: str, body: str, color: str | None = None) -> None:

@@ -10,8 +10,12 @@ import threading
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import torch
 
+from evaluate.motion.driving_sequence import driving_sequence_of
+from evaluate.motion.expression_scores import with_scores
+from evaluate.motion.live import LiveTransfer
 from evaluate.protocols.protocol import GIVEN
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
@@ -20,16 +24,26 @@ from evaluate.viewer.capture_scene import CaptureScene
 from evaluate.viewer.drawing import NICE, Drawing, Scene
 from evaluate.viewer.file_scene import FileScene
 from evaluate.viewer.following import Follower, Found, Newest, is_in_progress, open_in_progress, successor
+from evaluate.viewer.live_panel import LivePanel
+from evaluate.viewer.moving_pictures import pictures_of
 from evaluate.viewer.options import Options
+from evaluate.viewer.performer import Performer
 from evaluate.viewer.run_panel import RunPanel
 from evaluate.viewer.run_scene import RunScene
 from evaluate.viewer.server import ViewerServer, require_viser
 from ggavatar.data.background import parse_background
 from ggavatar.data.capture import DESCRIPTION, Capture
+from ggavatar.data.frames import evenly_spaced
+from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
+from ggavatar.landmarks.tracker import LandmarkTracker
+from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
 from ggavatar.text.terminal import write_err, write_out
 from ggavatar.training.run_folder import Run, holds_run
+
+LEARNED_FRAMES = 120
+"""Training frames from which a performance learns what the avatar's codes show."""
 
 
 @runtime_checkable  # the tests' run-time type checker needs it
@@ -107,6 +121,8 @@ def open_session(options: Options) -> Session:
     """Open what the options name and begin to serve it."""
     require_viser()
     path, source = options.shown, options.source
+    if options.webcam is not None and (is_gaussian_file(path) or not holds_run(path)):
+        raise InputError(f"{path}: --webcam drives the avatar of a run, this is none; leave it out")
     if is_gaussian_file(path):
         device = resolve_device(options.device)
         if source.capture is None:
@@ -123,9 +139,15 @@ def _show_run(options: Options, run: Run, is_followed: bool = False) -> Session:
     blank = copy.deepcopy(run.avatar) if is_followed else None
     scene = RunScene(run, background_of(options, run.background))
     session = _serve(options, scene, run.capture.subject)
+    performer = None if options.webcam is None else _performer(options.webcam, session.server, scene)
     panel = RunPanel(session.server, scene, session.drawing)
     scene.changed = session.drawing.wake
     session.server.show(session.drawing, scene.controls.pivot)
+    session.drawing.submit(scene.count)
+    session.drawing.submit(panel.describe)
+    if performer is not None:
+        session.others.append(performer)
+        performer.start()
     if blank is not None:
         session.others.append(_following(run, blank, scene, panel, session.drawing))
     return session
@@ -142,6 +164,27 @@ def _following(run: Run, blank: torch.nn.Module, scene: RunScene, panel: RunPane
     follower = Follower(Newest(run.folder, run.step), lambda found: drawing.submit(lambda: put(found)))
     follower.start()
     return follower
+
+
+def _performer(source: str, server: ViewerServer, scene: RunScene) -> Performer:
+    """A performer before a camera or in a video, for the avatar of a scene.
+
+    Raises:
+        InputError: There is no such camera or video, or the landmark network cannot be had.
+    """
+    finder = ModelFinder()
+    tracker = LandmarkTracker(finder.find("face_landmarker"))
+    play = pictures_of(source)
+    panel = LivePanel(server, scene)
+
+    def learn() -> LiveTransfer:
+        run = scene.run
+        seen = driving_sequence_of(run.capture)
+        rows = [seen.row(number) for number in evenly_spaced(run.split.train, LEARNED_FRAMES)]
+        return LiveTransfer(with_scores(seen.rows(np.array(rows)), run.capture, finder), scene.controls.head)
+
+    performer = panel.performer = Performer(play, tracker, learn, panel)
+    return performer
 
 
 def _show_capture(options: Options, capture: Capture) -> Session:

@@ -50,7 +50,10 @@ class Window:
     """A browser that notes what it is shown, until it dies."""
 
     def __init__(self, place: Place | None = PLACE) -> None:
-        self.where, self.shown, self.is_dead = place, [], False
+        self.where, self.shown, self.is_dead, self.is_busy = place, [], False, False
+
+    def is_ready(self) -> bool:
+        return not self.is_busy
 
     def place(self) -> Place | None:
         if self.is_dead:
@@ -156,6 +159,22 @@ def test_waits_are_short_while_a_clip_plays(parts: tuple[Drawing, Numbers, Clock
     assert drawing.step() == IDLE
     scene.is_playing = True
     assert drawing.step() == POLL
+
+
+def test_a_slow_window_gets_the_newest_picture_when_it_is_ready(parts: tuple[Drawing, Numbers, Clock]) -> None:
+    drawing, scene, clock = parts
+    window = Window()
+    drawing.add(window)
+    drawing.step()
+    window.is_busy = True
+    for number in range(1, 9):
+        scene.number = number
+        clock.now += 1.0
+        steps(drawing, 2)
+    assert len(window.shown) == 1
+    window.is_busy = False
+    drawing.step()
+    assert [shown[0] for shown in window.shown] == [0, 8]
 
 
 def test_a_window_that_is_not_known_yet_waits(parts: tuple[Drawing, Numbers, Clock]) -> None:

@@ -8,8 +8,10 @@ from __future__ import annotations
 import asyncio
 import socket
 import sys
+import threading
 from collections.abc import Iterator
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -143,10 +145,46 @@ def test_windows_without_size_or_sense_are_not_drawn() -> None:
     def place(**changes: Any) -> Any:
         values = {"image_width": 640, "image_height": 480, "wxyz": np.array([0, 1.0, 0, 0]), "position": np.ones(3)}
         camera = type("Camera", (), values | changes)()
-        return ViserCanvas(type("Client", (), {"camera": camera})()).place()
+        return ViserCanvas(type("Client", (), {"camera": camera})(), lambda: None).place()
 
     found = place()
     assert (found.width, found.height, found.wxyz) == (640, 480, (0.0, 1.0, 0.0, 0.0))
     assert place(image_width=0) is None
     assert place(position=np.array([np.nan, 0, 0])) is None
     assert place(wxyz=np.zeros(4)) is None
+
+
+def test_the_next_picture_waits_for_the_answer_of_the_browser() -> None:
+    answered, arrived = threading.Event(), threading.Event()
+    sent: list[Any] = []
+
+    class Client:
+        scene = SimpleNamespace(set_background_image=lambda image, **how: sent.append(how["format"]))
+        local_storage = SimpleNamespace(get_item=lambda key, timeout: answered.wait(30) and None)
+
+        def flush(self) -> None:
+            sent.append("flush")
+
+    canvas = ViserCanvas(Client(), arrived.set)
+    assert canvas.is_ready()
+    canvas.show(np.zeros((2, 2, 3), np.uint8), is_final=False)
+    assert not canvas.is_ready() and sent == ["jpeg", "flush"]
+    answered.set()
+    assert arrived.wait(30) and canvas.is_ready()
+
+
+def test_a_browser_that_does_not_answer_is_not_waited_for() -> None:
+    arrived = threading.Event()
+
+    def silent(key: str, timeout: float) -> None:
+        raise TimeoutError
+
+    client = SimpleNamespace(
+        scene=SimpleNamespace(set_background_image=lambda image, **how: None), flush=lambda: None,
+        local_storage=SimpleNamespace(get_item=silent), camera=SimpleNamespace(image_width=1, image_height=1),
+    )  # fmt: skip
+    canvas = ViserCanvas(client, arrived.set)
+    canvas.show(np.zeros((2, 2, 3), np.uint8), is_final=True)
+    assert arrived.wait(30) and canvas.is_ready()
+    canvas.gone()
+    assert canvas.place() is None

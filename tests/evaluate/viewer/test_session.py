@@ -52,7 +52,10 @@ class Client(SimpleNamespace):
             image_width=64, image_height=48, wxyz=np.array([0.0, 1, 0, 0]), position=np.array([0.0, 0, 1]),
             on_update=lambda callback: None,
         )  # fmt: skip
-        super().__init__(client_id=number, camera=camera, pictures=[])
+        storage = SimpleNamespace(get_item=lambda key, timeout: None)
+        super().__init__(
+            client_id=number, camera=camera, pictures=[], local_storage=storage, flush=lambda: None
+        )  # fmt: skip
         self.scene = SimpleNamespace(set_background_image=lambda image, **how: self.pictures.append((image, how)))
 
     def wait(self, count: int) -> None:
