@@ -49,6 +49,7 @@ WRITING = {"w", "wb", "a", "ab", "x", "xb"}
 ALLOWED_TO_RUN = {
     ("ggavatar/cli/process.py", "ctypes.CDLL"): "the C library of this process",
     ("ggavatar/cli/sweep.py", "subprocess.run"): "our own commands, as lists of arguments",
+    ("ggavatar/cli/viewer_process.py", "subprocess.Popen"): "our own command, as a list of arguments",
     ("ggavatar/formats/capture_layouts.py", "entry_points"): "packages that are installed",
     ("ggavatar/formats/web/performances.py", "entry_points"): "packages that are installed",
     ("ggavatar/jit/dispatch.py", "importlib.import_module"): "names in our code",
@@ -82,11 +83,18 @@ ALLOWED_TO_OPEN = {
     ("ggavatar/pretrained/weights.py", "torch.load"): "weights only, of a file whose SHA-256 is known",
     ("ggavatar/pretrained/weights.py", "safetensors.torch.load_file"): "after its kind and size were checked",
     ("ggavatar/training/checkpoint.py", "safetensors.load"): "bytes whose digest was compared",
+    ("ggavatar/training/snapshot.py", "safetensors.load"): "bytes, of a bounded size",
     ("ggavatar/training/journal.py", "path.open"): "to append to it",
     ("ggavatar/training/registry.py", "path.read_text"): "files of the package",
     ("preprocess/masks/networks.py", "onnxruntime.InferenceSession"): "bytes; operators and numbers only",
     ("preprocess/video/alpha_stream.py", "av.CodecContext.create"): "a decoder by name",
     ("preprocess/video/decoding.py", "av.open"): "an opened file, and containers that name no other files",
+<<<<<<< HEAD
+=======
+    ("evaluate/viewer/moving_pictures.py", "av.open"): "an opened file, and containers that name no other files",
+    ("evaluate/viewer/moving_pictures.py", "cv2.VideoCapture"): "a camera by its number",
+    ("evaluate/figures/report.py", "(files('evaluate.figures') / TEMPLATE).read_text"): "a file of the package",
+>>>>>>> e5ba6314aa4f0ee9a39a5e6af295d50df45634b8
     ("evaluate/metrics/faces.py", "cv2.FaceRecognizerSF.create"): "a file whose SHA-256 is known",
 }
 

@@ -1,1 +1,1 @@
-"""The commands ggavatar-eval and ggavatar-render."""
+"""The commands ggavatar-eval, ggavatar-render and ggavatar-view."""

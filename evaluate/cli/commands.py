@@ -29,3 +29,14 @@ def render() -> int:
         return main()
 
     return run_command(load_and_run)
+
+
+def view() -> int:
+    """Entry point of ggavatar-view; returns the exit code."""
+
+    def load_and_run() -> int:
+        from evaluate.cli.view import main
+
+        return main()
+
+    return run_command(load_and_run)

@@ -25,15 +25,44 @@ def one_euro(
         Casiez, Roussel and Vogel 2012, "1€ filter", Algorithm 1.
     """
     deviation = values.std(axis=0)
-    unit = np.where(deviation > 1e-12, deviation, 1.0)
-    filtered = values.astype(np.float64)
-    speed = np.zeros(values.shape[1])
-    for row in range(1, len(values)):
-        change = (values[row] - filtered[row - 1]) * fps / unit
-        speed += _smoothing_factor(speed_cutoff, fps) * (change - speed)
-        factor = _smoothing_factor(min_cutoff + beta * np.abs(speed), fps)
-        filtered[row] = filtered[row - 1] + factor * (values[row] - filtered[row - 1])
-    return filtered
+    smooth = OneEuro(np.where(deviation > 1e-12, deviation, 1.0), min_cutoff, beta, speed_cutoff)
+    return np.array([smooth(row, 1 / fps) for row in values]).reshape(values.shape)
+
+
+class OneEuro:
+    """The filter of `one_euro`, fed value by value."""
+
+    def __init__(
+        self, unit: Float[np.ndarray, " D"], min_cutoff: float = 1.5, beta: float = 0.5, speed_cutoff: float = 1.0
+    ) -> None:
+        """Begin without a value.
+
+        Args:
+            unit: In which the speed of every column is measured.
+            min_cutoff: As in `one_euro`.
+            beta: As in `one_euro`.
+            speed_cutoff: As in `one_euro`.
+        """
+        self._unit, self._cutoffs, self._beta = unit, (min_cutoff, speed_cutoff), beta
+        self._speed = np.zeros(len(unit))
+        self._value: Float[np.ndarray, " D"] | None = None
+
+    def __call__(self, value: Float[np.ndarray, " D"], seconds: float) -> Float[np.ndarray, " D"]:
+        """The filtered value.
+
+        Args:
+            value: The newest.
+            seconds: Time since the one before, s.
+        """
+        if self._value is None:
+            self._value = value.astype(np.float64)
+            return self._value
+        fps = 1 / max(seconds, 1e-3)
+        change = (value - self._value) * fps / self._unit
+        self._speed = self._speed + _smoothing_factor(self._cutoffs[1], fps) * (change - self._speed)
+        factor = _smoothing_factor(self._cutoffs[0] + self._beta * np.abs(self._speed), fps)
+        self._value = self._value + factor * (value - self._value)
+        return self._value
 
 
 def _smoothing_factor(cutoff: float | np.ndarray, fps: float) -> float | np.ndarray:

@@ -57,7 +57,7 @@ def transfer_performance(
     """
     smooth = _smoothed_sequence(driver, driver_neutral, how.smooth)
     rest, goal = smooth.rows(_only(driver_neutral)), target.rows(_only(target_neutral))
-    moved = dataclasses.replace(smooth, cameras=_cameras(smooth, rest.cameras, goal.cameras, how.pose))
+    moved = dataclasses.replace(smooth, cameras=carried_cameras(smooth, rest.cameras, goal.cameras, how.pose))
     if how.expression != "absolute":
         moved = dataclasses.replace(
             moved,
@@ -123,7 +123,7 @@ def _rotated(rotations: Float[np.ndarray, "T 3"], rest: np.ndarray, goal: np.nda
     return (turn * Rotation.from_rotvec(goal)).as_rotvec()
 
 
-def _cameras(driving: DrivingSequence, rest: Cameras | None, goal: Cameras | None, pose: str) -> Cameras | None:
+def carried_cameras(driving: DrivingSequence, rest: Cameras | None, goal: Cameras | None, pose: str) -> Cameras | None:
     """The target's camera, rotated like the driver's and moved by the same fraction of the image width."""
     if goal is None:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import signal
 import sys
@@ -14,6 +15,7 @@ from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
 
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
+from ggavatar.cli.viewer_process import viewer_beside
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 from ggavatar.pretrained.folders import export_choice
 from ggavatar.text.terminal import write_err, write_out
@@ -60,6 +62,8 @@ class Arguments:
     """Folder searched first for the weights of the perceptual loss, before $GGAVATAR_MODELS and the user's cache."""
     offline: bool = False
     """Never download weights, as $GGAVATAR_OFFLINE=1."""
+    view: bool = False
+    """Show the avatar in a browser while it trains (docs/viewer.md)."""
     quiet: Annotated[bool, arg(aliases=["-q"])] = False
     """Print errors only."""
 
@@ -87,7 +91,8 @@ def _train(arguments: Arguments) -> int:
         raise InputError("--resume and --overwrite are mutually exclusive; leave one out")
     export_choice(arguments.models, arguments.offline)
     try:
-        step = train_run(arguments.capture, arguments.output, options_of(arguments), arguments.quiet)
+        with viewer_beside(arguments.output) if arguments.view else contextlib.nullcontext():
+            step = train_run(arguments.capture, arguments.output, options_of(arguments), arguments.quiet)
     except TrainingInterrupted as stop:
         command = f"ggavatar-train {arguments.capture} -o {arguments.output} --resume"
         write_err(f"stopped and saved at step {stop.step}; resume with: {command}")

@@ -6,6 +6,7 @@ run/
   split.json         the frames trained on and tested on
   checkpoints/       step-000006000.safetensors and .json
   metrics/           train.jsonl, eval.jsonl
+  snapshot.safetensors   the avatar as it is, while a viewer follows the training
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import has_checkpoint, load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
+from ggavatar.training.snapshot import SNAPSHOT
 
 SCHEMA, VERSION = "ggavatar-run", 1
 BESIDE_THE_CONFIGURATION = ("schema", "version", "capture_relative", "settings")
@@ -138,6 +140,23 @@ def open_run(
     config = read_config(folder)
     opened = Capture.open(capture or find_capture(folder, config))
     tensors, record = load_checkpoint(folder / "checkpoints", step)
+    return assemble_run(folder, opened, tensors, (record["step"], record["sha256"]), device, backend)
+
+
+def assemble_run(
+    folder: Path, opened: Capture, tensors: Mapping[str, Tensor], origin: tuple[int, str], device: str, backend: str
+) -> Run:
+    """A run with an avatar from tensors that have been read.
+
+    Args:
+        folder: The run.
+        opened: Its capture.
+        tensors: As in a checkpoint.
+        origin: Step and SHA-256 of the tensors.
+        device: Device of the avatar.
+        backend: The rasterizer.
+    """
+    config = read_config(folder)
     split = read_split(folder)
     scene, reader = make_scene(config, opened, split, device)
     method = registry.load(config.method)
@@ -153,8 +172,8 @@ def open_run(
         rasterize=method.rasterizer(device, backend),
         config=config,
         provenance=_read_run_file(folder / "provenance.json"),
-        step=record["step"],
-        sha256=record["sha256"],
+        step=origin[0],
+        sha256=origin[1],
         reader=reader,
     )
 
@@ -226,7 +245,7 @@ def holds_run(folder: Path) -> bool:
 
 def _foreign_files(folder: Path) -> list[Path]:
     """What is in a folder besides what a training leaves there that was stopped before its first checkpoint."""
-    own = {"checkpoints", "config.json", "metrics", "split.json", "provenance.json"}
+    own = {"checkpoints", "config.json", "metrics", "split.json", "provenance.json", SNAPSHOT}
     others = (path for path in folder.iterdir() if path.name not in own)
     return sorted(path for path in others if not is_partial(path) and not is_lock_file(path))
 
@@ -244,7 +263,8 @@ def create_run_folder(folder: Path, overwrite: bool) -> None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files that a killed training has left."""
+    """Remove the temporary files and the snapshot that a killed training has left."""
+    (folder / SNAPSHOT).unlink(missing_ok=True)
     remove_partial_files(folder, folder / "checkpoints", folder / "metrics")
 
 
@@ -255,7 +275,7 @@ def _remove_own_files(folder: Path) -> None:
         *folder.glob("checkpoints/step-*.safetensors"),
         *folder.glob("metrics/*.jsonl"),
     ]
-    for path in [*own, *(folder / name for name in ("config.json", "provenance.json", "split.json"))]:
+    for path in [*own, *(folder / name for name in ("config.json", "provenance.json", "split.json", SNAPSHOT))]:
         path.unlink(missing_ok=True)
     remove_leftovers(folder)
 

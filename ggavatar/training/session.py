@@ -39,6 +39,7 @@ from ggavatar.training.run_folder import (
     write_config,
 )
 from ggavatar.training.same_capture import require_same_capture
+from ggavatar.training.snapshot import SnapshotListener
 from ggavatar.training.trainer import StopSignals, Trainer
 
 
@@ -62,8 +63,8 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         capture_folder: The capture to train on.
         output: The run folder.
         options: By name: method, preset, steps, seed, device, backend, split, background, max_gaussians, eval_every,
-            save_every, set (a list of field=value), resume, overwrite. Absent ones take their default or, when
-            resuming, the run's value.
+            save_every, set (a list of field=value), resume, overwrite, view (write snapshots). Absent ones take their
+            default or, when resuming, the run's value.
         quiet: Print no progress.
 
     Returns:
@@ -75,13 +76,14 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         TrainingError: Losses or gradients are not finite too often.
     """
     capture = Capture.open(capture_folder)
+    watched = bool(options.get("view"))
     with StopSignals() as stop:
         if options.get("resume") and _expect_run(output):
             with lock_folder(output):
                 config, split = _resumed(output, capture, options), read_split(output)
                 trainer = make_trainer(output, config, capture, split)
                 remove_leftovers(output)
-                done = _train(trainer, trainer.resume(), config, capture, stop, quiet)
+                done = _train(trainer, trainer.resume(), config, capture, stop, (quiet, watched))
         else:
             overwrite = bool(options.get("overwrite"))
             config, split = configure(capture, options)
@@ -92,7 +94,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             with lock_folder(output):
                 create_run_folder(output, overwrite)
                 write_config(output, config, split)
-                done = _train(trainer, 0, config, capture, stop, quiet)
+                done = _train(trainer, 0, config, capture, stop, (quiet, watched))
     if stop.received is not None and done < config.training.steps:
         raise TrainingInterrupted(done, stop.received)
     return done
@@ -111,16 +113,21 @@ def _expect_run(output: Path) -> bool:
     return False
 
 
-def _train(trainer: Trainer, done: int, config: RunConfig, capture: Capture, stop: StopSignals, quiet: bool) -> int:
+def _train(
+    trainer: Trainer, done: int, config: RunConfig, capture: Capture, stop: StopSignals, audience: tuple[bool, bool]
+) -> int:
     """Train from step `done` + 1, record what is known before and after, and return the steps done."""
     if done >= config.training.steps:
         return done
     provenance = provenance_of(config, capture, trainer.split)
     path = trainer.folder / "provenance.json"
     write_sealed_json(path, provenance)
+    quiet, watched = audience
     if not quiet:
         write_out(describe(config))
         trainer.listener = ConsoleListener(done, config.training.steps)
+    if watched:
+        trainer.listener = SnapshotListener(trainer.listener, trainer.avatar, trainer.folder)
     done = trainer.run(done, stop)
     write_sealed_json(path, {**provenance, **outcome_of(trainer, done)})
     return done

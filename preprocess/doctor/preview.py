@@ -8,9 +8,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from ggavatar.data.capture import Capture
+from ggavatar.head.mesh_overlay import mesh_over
 from ggavatar.head.model import HeadModel
 from ggavatar.io.images import write_jpeg
 from ggavatar.text.names import displayable
@@ -19,8 +20,6 @@ from preprocess.tracking.geometry.projection import posed_vertices, project
 COLUMNS, SIDE, LINE = 8, 256, 24
 MAX_LINES = 20
 """Most lines on dropped frames."""
-LIGHT = np.array([0.3, 0.5, 0.81])
-"""Direction towards the light in world axes."""
 
 
 def write_preview(capture: Capture, head: HeadModel) -> None:
@@ -80,47 +79,14 @@ def _column(capture: Capture, head: HeadModel, row: int) -> UInt8[np.ndarray, "h
     labeled = cv2.putText(
         small.copy(), str(number), (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 0), 1, cv2.LINE_AA
     )
-    return np.concatenate((labeled, cut, mesh_over(small, capture, head, row, scale)))
+    return np.concatenate((labeled, cut, mesh_of_row(small, capture, head, row, scale)))
 
 
-def mesh_over(
-    image: UInt8[np.ndarray, "h w 3"], capture: Capture, head: HeadModel, row: int, scale: float, opacity: float = 0.65
+def mesh_of_row(
+    image: UInt8[np.ndarray, "h w 3"], capture: Capture, head: HeadModel, row: int, scale: float
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image overlaid with the shaded mesh of one frame; faces are painted from back to front.
-
-    Args:
-        image: The frame at reduced size.
-        capture: The capture.
-        head: Its head.
-        row: Row of the tracking.
-        scale: Size of `image` relative to the capture.
-        opacity: Opacity of the mesh, from 0 to 1.
-    """
-    tracking, faces = capture.tracking, head.faces.numpy()
+    """The image, which is `scale` times the capture's size, overlaid with the mesh of one row of the tracking."""
+    tracking = capture.tracking
     vertices = posed_vertices(head, tracking, row)
     pixels, depth = project(vertices, tracking.intrinsics[row], tracking.world_to_camera[row])
-    corners = np.round((pixels[faces] * scale - 0.5) * 16)
-    colors = _face_colors(vertices[faces])
-    facing = _signed_areas(corners) < 0
-    visible = facing & (depth[faces] > 1e-3).all(axis=1) & (np.abs(corners) < 1 << 18).all(axis=(1, 2))
-    painted, covered = image.copy(), np.zeros(image.shape[:2], np.uint8)
-    for face in np.flatnonzero(visible)[np.argsort(-depth[faces[visible]].mean(axis=1))]:
-        triangle = corners[face].astype(np.int32)
-        cv2.fillConvexPoly(painted, triangle, tuple(int(channel) for channel in colors[face]), cv2.LINE_8, 4)
-        cv2.fillConvexPoly(covered, triangle, 255, cv2.LINE_8, 4)
-    alpha = opacity * (covered[..., None] / 255)
-    return np.round(painted * alpha + image * (1 - alpha)).astype(np.uint8)
-
-
-def _signed_areas(corners: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
-    """Twice the signed areas of projected faces; negative where the outside is visible (y points down)."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-
-
-def _face_colors(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
-    """A color for every face: light blue, darker where the face is turned away from the light."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    brightness = 0.35 + 0.65 * np.clip(normals @ LIGHT, 0, 1)
-    return brightness[:, None] * np.array([150.0, 200.0, 255.0])
+    return mesh_over(image, vertices, head.faces.numpy(), pixels * scale, depth)

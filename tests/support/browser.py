@@ -32,7 +32,7 @@ def chromium() -> str | None:
 class Page:
     """An open page: evaluates expressions, plays mouse, keys and files, records requests, messages and exceptions."""
 
-    def __init__(self, out: int, back: int, address: str, width: int, height: int) -> None:
+    def __init__(self, out: int, back: int, address: str, width: int, height: int, is_offline: bool = True) -> None:
         self._out, self._back, self._buffer, self._count = out, back, b"", 0
         self.events: list[dict[str, Any]] = []
         self._session = ""
@@ -41,7 +41,11 @@ class Page:
         for domain in ("Page", "Runtime", "Network", "Log", "DOM"):
             self.call(f"{domain}.enable")
         self.call(
-            "Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=-1, uploadThroughput=-1
+            "Network.emulateNetworkConditions",
+            offline=is_offline,
+            latency=0,
+            downloadThroughput=-1,
+            uploadThroughput=-1,
         )
         self.resize(width, height)
         self.call("Page.navigate", url=address)
@@ -131,6 +135,15 @@ def opened(
     browser: str, page: Path, profile: Path, query: str = "", size: tuple[int, int] = (1100, 800)
 ) -> Iterator[Page]:
     """Open a local page in a separate browser without network, which ends with the block."""
+    with connected(browser, page.as_uri() + query, profile, size) as view:
+        yield view
+
+
+@contextmanager
+def connected(
+    browser: str, address: str, profile: Path, size: tuple[int, int] = (1100, 800), is_offline: bool = True
+) -> Iterator[Page]:
+    """Open an address in a separate browser, which ends with the block."""
     import fcntl  # POSIX only
 
     (child_in, out), (back, child_out) = os.pipe(), os.pipe()
@@ -146,7 +159,7 @@ def opened(
     os.close(child_in)
     os.close(child_out)
     try:
-        yield Page(out, back, page.as_uri() + query, *size)
+        yield Page(out, back, address, *size, is_offline)
     finally:
         process.terminate()
         process.wait(30)

@@ -1,0 +1,214 @@
+"""A viewing session: what is to be shown is opened, and shown until the user ends it."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import os
+import sys
+import threading
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+
+from evaluate.motion.driving_sequence import driving_sequence_of
+from evaluate.motion.expression_scores import with_scores
+from evaluate.motion.live import LiveTransfer
+from evaluate.protocols.protocol import GIVEN
+from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
+from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
+from evaluate.viewer.capture_panel import CapturePanel
+from evaluate.viewer.capture_scene import CaptureScene
+from evaluate.viewer.drawing import NICE, Drawing, Scene
+from evaluate.viewer.file_scene import FileScene
+from evaluate.viewer.following import Follower, Found, Newest, is_in_progress, open_in_progress, successor
+from evaluate.viewer.live_panel import LivePanel
+from evaluate.viewer.moving_pictures import pictures_of
+from evaluate.viewer.options import Options
+from evaluate.viewer.performer import Performer
+from evaluate.viewer.run_panel import RunPanel
+from evaluate.viewer.run_scene import RunScene
+from evaluate.viewer.server import ViewerServer, require_viser
+from ggavatar.data.background import parse_background
+from ggavatar.data.capture import DESCRIPTION, Capture
+from ggavatar.data.frames import evenly_spaced
+from ggavatar.errors import InputError
+from ggavatar.formats.source_options import is_gaussian_file
+from ggavatar.landmarks.tracker import LandmarkTracker
+from ggavatar.pretrained.resolve import ModelFinder
+from ggavatar.render.backends import resolve_device
+from ggavatar.text.terminal import write_err, write_out
+from ggavatar.training.run_folder import Run, holds_run
+
+LEARNED_FRAMES = 120
+"""Training frames from which a performance learns what the avatar's codes show."""
+
+
+@runtime_checkable  # the tests' run-time type checker needs it
+class Stoppable(Protocol):
+    """What works in a thread of its own."""
+
+    def stop(self) -> None:
+        """Work no more."""
+        ...
+
+
+@dataclass
+class Session:
+    """A server and what it shows."""
+
+    server: ViewerServer
+    drawing: Drawing
+    others: list[Stoppable] = field(default_factory=list)
+
+    def close(self) -> None:
+        """Stop drawing and serving."""
+        for other in self.others:
+            other.stop()
+        self.server.stop()
+
+
+def view(options: Options, ended: threading.Event, is_companion: bool = False) -> None:
+    """Show what the options name until `ended` is set.
+
+    Args:
+        options: What to show, and where.
+        ended: Ends the viewer.
+        is_companion: Whether a training has started it: it waits for the run, and ends when the standard input ends.
+
+    Raises:
+        InputError: viser is not installed, or what is to be shown cannot be opened.
+    """
+    if is_companion:
+        _prepare_companion(options, ended)
+        if ended.is_set():
+            return
+    session = open_session(options)
+    try:
+        write_out(f"open {session.server.address} in a browser; Ctrl-C ends the viewer")
+        if options.public:
+            write_err("warning: --public: everybody who reaches this computer can watch and move what is shown")
+        _flush()
+        while not ended.wait(0.5):
+            pass
+    finally:
+        session.close()
+
+
+def _prepare_companion(options: Options, ended: threading.Event) -> None:
+    """Give way to the training that has started this process, end with it, and wait until it has something to show."""
+    with contextlib.suppress(AttributeError, OSError):  # not on this system
+        os.nice(NICE)
+
+    def wait_for_the_end() -> None:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdin.buffer.read()
+        ended.set()
+
+    threading.Thread(target=wait_for_the_end, name="standard input", daemon=True).start()
+    while not is_in_progress(options.shown) and not ended.wait(0.5):
+        pass
+
+
+def _flush() -> None:
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+
+
+def open_session(options: Options) -> Session:
+    """Open what the options name and begin to serve it."""
+    require_viser()
+    path, source = options.shown, options.source
+    if options.webcam is not None and (is_gaussian_file(path) or not holds_run(path)):
+        raise InputError(f"{path}: --webcam drives the avatar of a run, this is none; leave it out")
+    if is_gaussian_file(path):
+        device = resolve_device(options.device)
+        if source.capture is None:
+            return _show_file(options, open_standalone(path, source, device, options.backend))
+        return _show_run(options, open_gaussian_file(path, source, GIVEN, device, options.backend))
+    refuse_file_flags(path, source)
+    if (path / DESCRIPTION).is_file() and not holds_run(path):
+        return _show_capture(options, Capture.open(path))
+    run = open_in_progress(path, resolve_device(options.device), options.backend, source.capture)
+    return _show_run(options, run, is_followed=True)
+
+
+def _show_run(options: Options, run: Run, is_followed: bool = False) -> Session:
+    blank = copy.deepcopy(run.avatar) if is_followed else None
+    scene = RunScene(run, background_of(options, run.background))
+    session = _serve(options, scene, run.capture.subject)
+    performer = None if options.webcam is None else _performer(options.webcam, session.server, scene)
+    panel = RunPanel(session.server, scene, session.drawing)
+    scene.changed = session.drawing.wake
+    session.server.show(session.drawing, scene.controls.pivot)
+    session.drawing.submit(scene.count)
+    session.drawing.submit(panel.describe)
+    if performer is not None:
+        session.others.append(performer)
+        performer.start()
+    if blank is not None:
+        session.others.append(_following(run, blank, scene, panel, session.drawing))
+    return session
+
+
+def _following(run: Run, blank: torch.nn.Module, scene: RunScene, panel: RunPanel, drawing: Drawing) -> Follower:
+    """Show every newer avatar that the run folder comes to hold; the drawing thread puts it in place."""
+
+    def put(found: Found) -> None:
+        step, tensors = found
+        scene.replace_avatar(successor(blank, tensors, run.background.device), step)
+        panel.describe()
+
+    follower = Follower(Newest(run.folder, run.step), lambda found: drawing.submit(lambda: put(found)))
+    follower.start()
+    return follower
+
+
+def _performer(source: str, server: ViewerServer, scene: RunScene) -> Performer:
+    """A performer before a camera or in a video, for the avatar of a scene.
+
+    Raises:
+        InputError: There is no such camera or video, or the landmark network cannot be had.
+    """
+    finder = ModelFinder()
+    tracker = LandmarkTracker(finder.find("face_landmarker"))
+    play = pictures_of(source)
+    panel = LivePanel(server, scene)
+
+    def learn() -> LiveTransfer:
+        run = scene.run
+        seen = driving_sequence_of(run.capture)
+        rows = [seen.row(number) for number in evenly_spaced(run.split.train, LEARNED_FRAMES)]
+        return LiveTransfer(with_scores(seen.rows(np.array(rows)), run.capture, finder), scene.controls.head)
+
+    performer = panel.performer = Performer(play, tracker, learn, panel)
+    return performer
+
+
+def _show_capture(options: Options, capture: Capture) -> Session:
+    scene = CaptureScene(capture)
+    session = _serve(options, scene, capture.subject)
+    CapturePanel(session.server, scene)
+    scene.changed = session.drawing.wake
+    session.server.show(session.drawing, scene.pivot)
+    return session
+
+
+def _show_file(options: Options, file: StandaloneGaussians) -> Session:
+    scene = FileScene(file, background_of(options, file.background))
+    session = _serve(options, scene, file.subject)
+    scene.build(session.server)
+    session.server.show(session.drawing, scene.pivot)
+    return session
+
+
+def _serve(options: Options, scene: Scene, title: str) -> Session:
+    """A server that shows nothing yet, and the thread that will draw for it."""
+    return Session(ViewerServer(options.port, options.public, title), Drawing(scene))
+
+
+def background_of(options: Options, own: torch.Tensor) -> torch.Tensor:
+    """The color of --background, or else one's own."""
+    return own if options.background is None else own.new_tensor(parse_background(options.background))
