@@ -37,8 +37,8 @@ def neighbors(faces: Int[Tensor, "F 3"]) -> Neighbors:
     """The triangles across all edges of a mesh.
 
     The neighbor across the directed edge j → l is the triangle that has l → j. An edge is a wall if it has none, if it
-    has several (more than two triangles meet, or neighbors are oriented against each other), if its ends are one vertex,
-    or if both of its sides are the same triangle. Neighborhood is mutual.
+    has several (more than two triangles meet, or neighbors are oriented against each other), if its ends are one
+    vertex, or if both of its sides are the same triangle. Neighborhood is mutual.
 
     Args:
         faces: Vertex indices, counter-clockwise seen from outside.
