@@ -11,6 +11,7 @@ The rows hold the columns means [N, 3], quats [N, 4] and log_scales [N, 3] in un
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -123,6 +124,9 @@ class DensityControl:
         ramp: Whether the budget becomes available evenly over the rounds, so that coarse-resolution steps do not render
             rows that only fine ones need (coupled as in DashGaussian), or all of it in the first round.
         split_in: Space of the standard deviations that spread the children of a split; see `split`.
+        splitter: Replaces chosen rows by two each, for rows that are not in the local space of triangles; None is
+            `split`.
+        keep_last: Whether a triangle keeps its last row (GaussianAvatars).
     """
 
     start: int
@@ -139,6 +143,8 @@ class DensityControl:
     budget: int = 1_000_000
     ramp: bool = False
     split_in: Literal["local", "world"] = "local"
+    splitter: Callable[[Rows, Tensor, torch.Generator], None] | None = None
+    keep_last: bool = True
 
     def is_active(self, step: int) -> bool:
         """Whether statistics are accumulated at this step."""
@@ -175,12 +181,18 @@ class DensityControl:
         small = _world_sizes(rows, face_scales) <= self.grow_scale * self.extent
         copies = int((growing & small).sum())
         grow(rows, growing & small)
-        spread = face_scales if self.split_in == "world" else None
-        split(rows, torch.cat((growing & ~small, growing.new_zeros(copies))), generator, spread)
+        to_split = torch.cat((growing & ~small, growing.new_zeros(copies)))
+        if self.splitter is None:
+            split(rows, to_split, generator, face_scales if self.split_in == "world" else None)
+        else:
+            self.splitter(rows, to_split, generator)
         to_prune = rows["opacity_logits"].detach().sigmoid() < self.prune_opacity
         if step > self.reset_interval:
             to_prune |= _world_sizes(rows, face_scales) > self.prune_scale * self.extent
-        prune(rows, to_prune)
+        if self.keep_last or bool(to_prune.all()):
+            prune(rows, to_prune)
+        else:
+            rows.take((~to_prune).nonzero().squeeze(-1))
         rows["gradient"].zero_()
         rows["seen"].zero_()
 

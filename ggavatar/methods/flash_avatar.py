@@ -18,23 +18,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
-from ggavatar.data.frames import evenly_spaced
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.binding import WorldGeometry
+from ggavatar.gaussians.initialization import faces_seen, neighbor_distance
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
 from ggavatar.geometry.convex_hull import hull_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
 from ggavatar.geometry.uv_sampling import (
     SurfaceSamples,
-    camera_facing,
     face_areas,
     lower_boundary,
     strip_samples,
@@ -58,8 +55,6 @@ PAPER_ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer, iterations."""
 FLAME_COVERAGE = 14_734 / 128**2
 """Fraction of the texels that FLAME's triangles cover."""
-VISIBILITY_FRAMES = 24
-"""Number of training frames from which triangle visibility is determined."""
 
 
 @dataclass(frozen=True)
@@ -292,14 +287,6 @@ def positional_encoding(points: Float[Tensor, "N 3"], octaves: int) -> Float[Ten
     return torch.cat((points, torch.stack((angles.sin(), angles.cos()), dim=2).flatten(1)), dim=-1)
 
 
-@torch.no_grad()
-def neighbor_distance(points: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
-    """Root mean square distance to the three nearest neighbors, m; at least 0.3 mm (3DGS)."""
-    found, _ = KDTree(points.cpu().numpy()).query(points.cpu().numpy(), k=4)
-    distances = torch.as_tensor(np.asarray(found)[:, 1:]).to(points)
-    return distances.square().mean(-1).clamp_min(1e-7).sqrt()
-
-
 def make_network(config: Config, scene: Scene) -> ConditionedPerceptron:
     """The network, with torch's default initialization or, for initial offsets of zero, a last layer of zeros."""
     conditions = len(scene.head.condition(scene.head.neutral_drive()))
@@ -340,7 +327,7 @@ def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSa
         allowed = ~touching
     if config.layout == "strip" or head.uv is None:
         weights = face_areas(head.neutral(), head.faces) ** config.room_power * allowed
-        weights = weights * torch.where(_ever_visible(scene, poses), 1.0, config.unseen_room)
+        weights = weights * torch.where(faces_seen(scene, poses), 1.0, config.unseen_room)
         count = min(round(config.texels**2 * FLAME_COVERAGE), scene.max_gaussians)
         return strip_samples(head.neutral(), head.faces, weights, count)
     side = config.texels
@@ -350,12 +337,3 @@ def surface_samples(config: Config, scene: Scene, poses: HeadPoses) -> SurfaceSa
         if int(kept.sum()) <= scene.max_gaussians:
             return SurfaceSamples(samples.face[kept], samples.weights[kept])
         side = min(side - 1, int(side * (scene.max_gaussians / int(kept.sum())) ** 0.5))
-
-
-def _ever_visible(scene: Scene, poses: HeadPoses) -> Tensor:
-    """Mask of the triangles that face the camera in some training frame; all if there are no frames."""
-    if not scene.drives:
-        return torch.ones(len(scene.head.faces), dtype=torch.bool, device=scene.head.faces.device)
-    chosen = evenly_spaced(tuple(range(len(scene.drives))), VISIBILITY_FRAMES)
-    posed = [poses.hold_torso(scene.head.vertices(scene.drives[row]), scene.drives[row], scene.head) for row in chosen]
-    return camera_facing(posed, [scene.cameras[row] for row in chosen], scene.head.faces)

@@ -22,6 +22,8 @@ PRESET_FIELDS: dict[str, tuple[str, ...]] = {
     ),
     "learning rate": (
         "position_rate",
+        "displacement_rate",
+        "walk_rate",
         "scale_rate",
         "color_rate",
         "network_rate",
@@ -46,7 +48,7 @@ PRESET_FIELDS: dict[str, tuple[str, ...]] = {
         "surface_layers",
         "hidden_type",
     ),
-    "initial value": ("first_colors", "first_offsets", "begin", "fitting_steps", "radius_factor"),
+    "initial value": ("first_colors", "first_places", "first_offsets", "begin", "fitting_steps", "radius_factor"),
     "perceptual features": ("perceptual_features",),
 }
 """Names of the fields of a method's `Config` that a preset may change, by kind.

@@ -8,6 +8,8 @@ FOLDER = "ggavatar/methods"
 OURS, PLUS = f"{FOLDER}/ggavatar.py", f"{FOLDER}/ggavatar_plus.py"
 AVATARS, FLASH = f"{FOLDER}/gaussian_avatars.py", f"{FOLDER}/flash_avatar.py"
 BLENDSHAPES, POINTS = f"{FOLDER}/gaussian_blendshapes.py", f"{FOLDER}/point_avatar.py"
+SPLATTING, EMBEDDING = f"{FOLDER}/splatting_avatar.py", "ggavatar/gaussians/embedding.py"
+WALK, VERTICES = "ggavatar/geometry/triangle_walk.py", "ggavatar/geometry/vertex_frames.py"
 
 TESTS = "tests/ggavatar/methods"
 WIRING = f"{TESTS}/test_ggavatar.py"
@@ -19,6 +21,8 @@ RESET = f"{WIRING}::test_opacities_are_reset_at_500_on_white_only"
 RATES = f"{WIRING}::test_rates_and_degrees_follow_the_training"
 COLORS = f"{WIRING}::test_short_trainings_start_in_the_colors_of_the_frames"
 PAPER = "tests/test_paper.py"
+EMBEDDED = "tests/ggavatar/gaussians/test_embedding.py"
+WALKED = "tests/ggavatar/geometry/test_triangle_walk.py"
 
 GGAVATAR = (
     Mutation(
@@ -507,4 +511,91 @@ BASELINES = (
     ),
 )
 
-MUTATIONS = (*GGAVATAR, *BASELINES)
+EMBEDDED_METHOD = (
+    Mutation(
+        "splatting_turns_backward",
+        VERTICES,
+        "triangle_frames(vertices, faces).rotations @ rest.rotations.transpose(1, 2)",
+        "rest.rotations @ triangle_frames(vertices, faces).rotations.transpose(1, 2)",
+        ("tests/ggavatar/geometry/test_vertex_frames.py::test_turns_go_forward_not_backward",),
+    ),
+    Mutation(
+        "splatting_turn_on_the_right",
+        EMBEDDING,
+        "quaternion_multiply(turn, normalize(quats, dim=-1))",
+        "quaternion_multiply(normalize(quats, dim=-1), turn)",
+        (f"{EMBEDDED}::test_eq_1_to_8_row_by_row",),
+    ),
+    Mutation(
+        "splatting_normals_not_renormalized",
+        EMBEDDING,
+        "places.distances[:, None] * normalize(normal, dim=-1)",
+        "places.distances[:, None] * normal",
+        (f"{EMBEDDED}::test_eq_1_to_8_row_by_row",),
+    ),
+    Mutation(
+        "splatting_areas_undamped",
+        EMBEDDING,
+        "(posed.areas + damping) / (rest.frames.areas + damping)",
+        "posed.areas / rest.frames.areas",
+        (f"{EMBEDDED}::test_damping_is_added_to_both_areas",),
+    ),
+    Mutation(
+        "splatting_logarithms_in_meters",
+        EMBEDDING,
+        "AUTHORS_UNITS_PER_METER = 4.0",
+        "AUTHORS_UNITS_PER_METER = 1.0",
+        (f"{EMBEDDED}::test_the_codes_rule_in_numbers",),
+    ),
+    Mutation(
+        "walk_corners_not_swapped",
+        WALK,
+        "left[row, there_j], left[row, there_l] = -rest[row, here_l], -rest[row, here_j]",
+        "left[row, there_j], left[row, there_l] = -rest[row, here_j], -rest[row, here_l]",
+        (f"{WALKED}::test_without_decay_a_walk_on_parallelograms_is_a_straight_line",),
+    ),
+    Mutation(
+        "walk_without_decay",
+        WALK,
+        "weights[moving], decay * rest)",
+        "weights[moving], rest)",
+        (f"{WALKED}::test_at_a_crossing_a_tenth_of_the_rest_is_lost",),
+    ),
+    Mutation(
+        "walk_through_edges_of_three",
+        WALK,
+        "(last - first == 1) & (own == 1)",
+        "(last - first >= 1)",
+        (f"{WALKED}::test_edges_without_exactly_one_triangle_across_are_walls",),
+    ),
+    Mutation(
+        "splatting_without_lifting",
+        SPLATTING,
+        'if config.walking == "lifted" else',
+        "if False else",
+        (f"{TESTS}/test_splatting_avatar.py::test_gradients_reach_slides_only_where_they_are_lifted",),
+    ),
+    Mutation(
+        "splatting_background_fixed",
+        SPLATTING,
+        "seeded(self.scene.seed, 5, step)).to(frame.image) - self.scene.background",
+        "seeded(self.scene.seed, 5, step)).to(frame.image) * 0",
+        (f"{TESTS}/test_splatting_avatar.py::test_objective_by_hand",),
+    ),
+    Mutation(
+        "splatting_extent_of_the_configuration",
+        SPLATTING,
+        "extent: float = 0.5",
+        "extent: float = 0.25",
+        (CONSTANTS,),
+    ),
+    Mutation(
+        "splatting_torso_turns",
+        SPLATTING,
+        'if self.config.pose_on == "neck":',
+        "if False:",
+        (f"{TORSO}[splatting_avatar]",),
+    ),
+)
+
+MUTATIONS = (*GGAVATAR, *BASELINES, *EMBEDDED_METHOD)

@@ -44,7 +44,7 @@ class StopAt:
         pass
 
 
-@pytest.mark.parametrize("method", ["gaussian_avatars", "gaussian_blendshapes"])
+@pytest.mark.parametrize("method", ["gaussian_avatars", "gaussian_blendshapes", "splatting_avatar"])
 def test_interrupted_run_equals_one_without(method: str, toy_capture: Capture, tmp_path: Path) -> None:
     for name in ("straight", "broken"):
         (tmp_path / name).mkdir()

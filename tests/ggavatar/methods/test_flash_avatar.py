@@ -19,6 +19,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
 from ggavatar.data.scene import Scene
 from ggavatar.data.splits import Split
+from ggavatar.gaussians.initialization import neighbor_distance
 from ggavatar.geometry.transforms import project, quaternion_to_matrix
 from ggavatar.head.model import HeadModel
 from ggavatar.head.procedural.model import procedural_head
@@ -29,7 +30,6 @@ from ggavatar.methods.flash_avatar import (
     FlashAvatar,
     apply_offsets,
     build,
-    neighbor_distance,
     positional_encoding,
 )
 from ggavatar.optim.schedules import scaled

@@ -161,12 +161,49 @@ POINT_AVATAR: dict[str, Any] = {
     "head_milestones": (10, 20, 30, 40),
 }
 
+SPLATTING_AVATAR: dict[str, Any] = {
+    # Shao et al. 2024, Sec. 3, Eq. 8 and 10, and their code, configs/splatting_avatar.yaml, splatting_avatar_optim.py,
+    # loss_base.py; lengths divided by 4, the size of their FLAME, areas by 16
+    "iterations": 30_000,
+    "first_gaussians": 10_000,
+    "first_places": "triangles",
+    "first_colors": "grey",
+    "walking": "lifted",
+    "scale_by": "area",
+    "area_damping": 1e-4 / 16,
+    "walk_interval": 100,
+    "walk_decay": 0.9,
+    "displacement_rate": 1.6e-4 / 4,
+    "walk_rate": 1.6e-4,
+    "position_decay": 0.01,
+    "scale_rate": 5e-3,
+    "rotation_rate": 1e-3,
+    "opacity_rate": 0.05,
+    "color_rate": 2.5e-3,
+    "density_start": 600,
+    "density_stop": 29_000,
+    "density_interval": 100,
+    "density_gradient": 2e-4,
+    "density_ramp": False,
+    "reset_iterations": 3_000,
+    "extent": 2.0 / 4,
+    "split_along_normal": False,
+    "mse_weight": 10.0,
+    "scaling_weight": 1.0,
+    "scaling_threshold": 0.008 / 4,
+    "scaling_ratio": 10.0,
+    "perceptual_mode": "image",
+    # 0.01 of LPIPS, a tenth of our loss
+    "perceptual_weight": 0.01 / 10,
+}
+
 PUBLISHED = {
     "ggavatar": GGAVATAR,
     "gaussian_avatars": GAUSSIAN_AVATARS,
     "flash_avatar": FLASH_AVATAR,
     "gaussian_blendshapes": GAUSSIAN_BLENDSHAPES,
     "point_avatar": POINT_AVATAR,
+    "splatting_avatar": SPLATTING_AVATAR,
 }
 
 

@@ -15,7 +15,7 @@ from ggavatar.head.model import HeadModel
 from ggavatar.training import registry
 from ggavatar.training.plan import preset
 
-GROWING = ("gaussian_avatars", "gaussian_blendshapes", "ggavatar", "ggavatar_plus")
+GROWING = ("gaussian_avatars", "gaussian_blendshapes", "ggavatar", "ggavatar_plus", "splatting_avatar")
 LENGTHS = (1_500, 6_000, 12_000, 12_345, 30_000, 120_000, 600_000)
 
 

@@ -80,6 +80,7 @@ ON_THE_NECK = {
     "gaussian_avatars": {"pose_on": "neck", "finetuning": "false"},
     "flash_avatar": {"pose_on": "neck", "first_offsets": "none", "texels": "24"},
     "gaussian_blendshapes": {"pose_on": "neck"},
+    "splatting_avatar": {"pose_on": "neck"},
 }
 ON_THE_CAMERA = {
     method: {**settings, **({"torso": "false"} if method == "ggavatar_plus" else {"pose_on": "camera"})}
