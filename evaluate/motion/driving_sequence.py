@@ -21,6 +21,7 @@ from ggavatar.formats.arkit_recording import (
 from ggavatar.head.expression_axes import names_without_file
 from ggavatar.io.npz import npz_headers, read_npz
 from ggavatar.landmarks.blendshapes import NAMES
+from ggavatar.training.run_folder import Run
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,18 @@ class DrivingSequence:
 
 def driving_sequence_of(capture: Capture) -> DrivingSequence:
     """The tracking of a capture as a driving sequence."""
-    tracking = capture.tracking
     names = _head_names(capture)
+    return _tracked(capture, names["joint_names"], names["expression_names"])
+
+
+def driving_sequence_of_run(run: Run) -> DrivingSequence:
+    """The tracking that the avatar of a run was trained and tested on, as a driving sequence."""
+    names = run.head.expression_names or names_without_file(run.head.version, run.head.expression_basis.shape[2])
+    return _tracked(run.capture, run.head.joint_names, names)
+
+
+def _tracked(capture: Capture, joint_names: tuple[str, ...], axis_names: tuple[str, ...]) -> DrivingSequence:
+    tracking = capture.tracking
     return DrivingSequence(
         expression=tracking.expression.astype(np.float64),
         joint_rotations=tracking.joint_rotations.astype(np.float64),
@@ -114,9 +125,9 @@ def driving_sequence_of(capture: Capture) -> DrivingSequence:
         ),
         frames=capture.frames,
         fps=capture.fps,
-        joint_names=names["joint_names"],
+        joint_names=joint_names,
         head_version=capture.head_version,
-        axis_names=names["expression_names"],
+        axis_names=axis_names,
     )
 
 

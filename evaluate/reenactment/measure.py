@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of
-from evaluate.motion.expression_scores import faces_in, scores_of
+from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of_run
 from evaluate.motion.retarget import drives_and_cameras
 from evaluate.motion.transfer import TransferOptions
 from evaluate.reenactment.fidelity import Fidelity, head_rotation, landmark_jitter, pose_distance, score_fidelity
@@ -19,8 +18,8 @@ from evaluate.rendering.driven import Rest, perform
 from evaluate.scoring.frame_files import to_8_bit
 from ggavatar.core import Camera
 from ggavatar.data.capture import Capture
+from ggavatar.data.expression_scores import faces_in, scores_of
 from ggavatar.errors import InputError
-from ggavatar.head.files import load_head
 from ggavatar.io.images import read_rgb
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.bundle import canonical_face
@@ -140,7 +139,7 @@ def _performances(
 ) -> tuple[DrivingSequence, DrivingSequence]:
     """The driver's performance, and what the avatar makes of it."""
     if source is None:
-        own = driving_sequence_of(run.capture)
+        own = driving_sequence_of_run(run)
         own = own.rows(np.array([own.row(frame) for frame in run.split.test]))
         return own, own
     performance = perform(run, source, how, Rest(), finder)
@@ -158,8 +157,7 @@ def measured_rows(frames: tuple[int, ...]) -> np.ndarray:
 
 def render_small(run: Run, sequence: DrivingSequence) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
     """The avatar in every frame of a sequence, `WIDTH` px wide."""
-    head = load_head(run.capture.head_path).to(run.background.device, torch.float32)
-    for _, drive, camera in drives_and_cameras(sequence, head):
+    for _, drive, camera in drives_and_cameras(sequence, run.head):
         factor = WIDTH / camera.width
         scale = camera.intrinsics.new_tensor([factor, factor, 1.0])
         height = round(camera.height * factor)

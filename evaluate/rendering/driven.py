@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of, read_driving_sequence
-from evaluate.motion.expression_scores import with_scores
+from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of_run, read_driving_sequence
 from evaluate.motion.neutral import neutral_row
 from evaluate.motion.retarget import match_basis
 from evaluate.motion.transfer import TransferOptions, match_performance, transfer_performance
 from ggavatar.data.capture import Capture
+from ggavatar.data.expression_scores import measured_scores
 from ggavatar.errors import InputError
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
@@ -62,7 +63,7 @@ def perform(
     Raises:
         InputError: The source cannot be read, or does not fit the avatar.
     """
-    driver, target = read_driving_sequence(source), driving_sequence_of(run.capture)
+    driver, target = read_driving_sequence(source), driving_sequence_of_run(run)
     if how.expression == "absolute" and how.pose == "absolute" and driver.cameras is None:
         raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
     rows = None if rest.driver is None else driver.row(rest.driver)
@@ -70,14 +71,19 @@ def perform(
     goal = None if rest.target is None else seen.row(rest.target)
     if how.expression == "matched":
         if source.is_dir():
-            driver = with_scores(driver, Capture.open(source), finder)
+            driver = _measured(driver, Capture.open(source), finder)
         if driver.scores is not None:
-            seen = with_scores(seen, run.capture, finder)
+            seen = _measured(seen, run.capture, finder)
         note = "" if driver.scores is not None and seen.scores is not None else UNMEASURED
         return Performance(driver, match_performance(driver, rows, seen, goal, how), note)
     fitted = match_basis(driver, target, force)
     rows, goal = _neutral(fitted, rows), _neutral(seen, goal)
     return Performance(driver, transfer_performance(fitted, rows, seen, goal, how))
+
+
+def _measured(sequence: DrivingSequence, capture: Capture, finder: ModelFinder) -> DrivingSequence:
+    """The sequence of a capture with the scores of its frames, if they can be had."""
+    return dataclasses.replace(sequence, scores=measured_scores(capture, sequence.frames, finder))
 
 
 def _neutral(sequence: DrivingSequence, row: int | None) -> int:

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from evaluate.figures.novel_views import novel_views
 from evaluate.figures.reenactment import reenactment, representative_rows
 from evaluate.figures.video import playback_fps
-from evaluate.motion.driving_sequence import driving_sequence_of
+from evaluate.motion.driving_sequence import driving_sequence_of_run
 from evaluate.motion.neutral import neutral_row
 from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
 from evaluate.motion.retarget import drives_and_cameras
@@ -45,8 +44,6 @@ from ggavatar.data.background import Color, parse_background
 from ggavatar.data.capture import DESCRIPTION, HEAD, TRACKING, Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
-from ggavatar.head.files import load_head
-from ggavatar.head.model import HeadModel
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import hold_folder
 from ggavatar.io.images import read_rgb, write_png
@@ -140,9 +137,9 @@ def _neutral_view(options: Options, run: Run) -> tuple[Drive, Camera, Tensor]:
     """Drive and camera of the neutral frame, and the center of the head, m."""
     frame = options.target_neutral
     if frame is None:
-        frame = run.capture.frames[neutral_row(driving_sequence_of(run.capture))]
+        frame = run.capture.frames[neutral_row(driving_sequence_of_run(run))]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
-    return drive, camera, head_center(_head(run), drive)
+    return drive, camera, head_center(run.head, drive)
 
 
 def _orbit(
@@ -169,7 +166,7 @@ def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     driver, moved = performance.driver, performance.moved
     if performance.note:
         write_err(f"note: {performance.note}")
-    views = [View(*item) for item in drives_and_cameras(moved, _head(run))]
+    views = [View(*item) for item in drives_and_cameras(moved, run.head)]
 
     def write_figure(output: Output) -> Path:
         frames = [view.number for view in _selected(views, options.frames)]
@@ -202,10 +199,6 @@ def _driver_images(source: Path, frames: Sequence[int], background: Color) -> li
         return []
     capture = Capture.open(source)
     return [GroundTruth(background).image_and_mask(capture, frame)[0] for frame in frames]
-
-
-def _head(run: Run) -> HeadModel:
-    return load_head(run.capture.head_path).to(run.background.device, torch.float32)
 
 
 def _background(options: Options, run: Run | StandaloneGaussians) -> Color:

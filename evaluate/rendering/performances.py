@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
-
 from evaluate.motion.retarget import drives_and_cameras
 from evaluate.motion.transfer import TransferOptions
 from evaluate.rendering.driven import Rest, perform
 from ggavatar.core import Camera, Drive
-from ggavatar.head.files import load_head
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
 
@@ -19,6 +16,5 @@ from ggavatar.training.run_folder import Run
 def transferred_performance(run: Run, source: Path) -> tuple[float, Sequence[int], Sequence[Drive], Sequence[Camera]]:
     """Frame rate, frame numbers, drives and cameras of a performance, by the defaults of ggavatar-render --drive."""
     moved = perform(run, source, TransferOptions(), Rest(), ModelFinder()).moved
-    head = load_head(run.capture.head_path).to(run.background.device, torch.float32)
-    frames, drives, cameras = zip(*drives_and_cameras(moved, head), strict=True)
+    frames, drives, cameras = zip(*drives_and_cameras(moved, run.head), strict=True)
     return moved.fps, frames, drives, cameras

@@ -208,11 +208,8 @@ def _export_run(arguments: Arguments) -> list[str]:
         raise InputError(
             f"{arguments.source}: --axes, --scales and --opacities belong to a file of Gaussians; omit them"
         )
-    import torch
-
     from ggavatar.formats.drives import file_drives, frame_drives, neutral_drive
     from ggavatar.formats.export import BOUND_FORMAT, POINT_CLOUD_FILE, export_bound, export_splats
-    from ggavatar.head.files import load_head
     from ggavatar.render.backends import resolve_device
     from ggavatar.training.run_folder import open_run
     from ggavatar.training.same_capture import change_since_training
@@ -221,7 +218,7 @@ def _export_run(arguments: Arguments) -> list[str]:
     run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
     if arguments.kind == WEB:
         return _export_page(arguments, run)
-    head = load_head(run.capture.head_path).to(device, torch.float32)
+    head = run.head
     if arguments.drive is not None:
         drives = file_drives(arguments.drive, run, head)
     else:

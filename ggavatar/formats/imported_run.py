@@ -48,6 +48,7 @@ def open_imported_run(
         method=method,
         avatar=avatar,
         capture=capture,
+        head=head,
         split=chosen,
         background=background,
         rasterize=pick(device, backend),

@@ -28,6 +28,12 @@ _REGION = "region/"
 
 def save_head(head: HeadModel, path: Path | str) -> None:
     """Write a head as `head.npz`, atomically."""
+    arrays = head_arrays(head)
+    write_atomically(Path(path), lambda stream: np.savez_compressed(stream, allow_pickle=False, **arrays))
+
+
+def head_arrays(head: HeadModel) -> dict[str, ndarray]:
+    """The arrays of a head by their names in `head.npz`."""
     arrays: dict[str, ndarray] = {name: getattr(head, name).detach().cpu().numpy() for name in (*_REAL, "faces")}
     arrays |= {
         "parents": np.asarray(head.parents, np.int64),
@@ -37,19 +43,29 @@ def save_head(head: HeadModel, path: Path | str) -> None:
     arrays |= {_REGION + name: rows.cpu().numpy() for name, rows in head.regions.items()}
     optional = {"uv": head.uv, "landmark_weights": head.landmark_weights}
     arrays |= {name: value.detach().cpu().numpy() for name, value in optional.items() if value is not None}
-    arrays |= {"expression_names": np.asarray(head.expression_names)} if head.expression_names else {}
-    write_atomically(Path(path), lambda stream: np.savez_compressed(stream, allow_pickle=False, **arrays))
+    return arrays | ({"expression_names": np.asarray(head.expression_names)} if head.expression_names else {})
 
 
 def load_head(path: Path | str) -> HeadModel:
     """Read a head model from `head.npz`, float32 on the CPU; every key is checked.
 
     Raises:
-        InputError: The file is missing, not an npz or too large; or a key is missing or has a wrong shape or type, an
-            index out of range or a number that is not finite.
+        InputError: The file is missing, not an npz or too large, or as `head_from_arrays`.
     """
-    arrays = _read(Path(path))
-    check = _Checks(Path(path), arrays)
+    return head_from_arrays(_read(Path(path)), Path(path))
+
+
+def head_from_arrays(arrays: dict[str, ndarray], path: Path) -> HeadModel:
+    """A head model from the arrays of a `head.npz`, which may come from another file.
+
+    Args:
+        arrays: As `head_arrays` gives them.
+        path: Where they come from, for messages.
+
+    Raises:
+        InputError: A key is missing or has a wrong shape or type, an index is out of range or a number not finite.
+    """
+    check = _Checks(path, arrays)
     vertices = check.sizes()
     faces = torch.from_numpy(check.faces(vertices))
     real = {name: torch.from_numpy(check.real(name, vertices)) for name in _REAL}

@@ -200,6 +200,11 @@ class GaussianBlendshapes(nn.Module):
         self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached: tuple[Tensor, Tensor] | None = None
 
+    @property
+    def triangles(self) -> int:
+        """Number of triangles that rows may be bound to: those of the head, and two for the teeth."""
+        return len(self.slots)
+
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space (Sec. 3.1, 3.3)."""
         rows, face = self.rows, self.rows["face"]

@@ -29,6 +29,7 @@ from ggavatar.data.scene import Scene
 from ggavatar.data.splits import Split, split_frames, split_name
 from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
+from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import is_partial, remove_partial_files
 from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.folder_lock import is_lock_file, lock_folder
@@ -88,6 +89,7 @@ class Run:
         method: Command-line name of its method.
         avatar: In evaluation mode, on the requested device.
         capture: The capture it was trained on.
+        head: The head model of the capture, on the device of the avatar.
         split: Frames trained on and tested on.
         background: Color it was trained on, sRGB.
         rasterize: The renderer for the device.
@@ -102,6 +104,7 @@ class Run:
     method: str
     avatar: Any
     capture: Capture
+    head: HeadModel
     split: Split
     background: Tensor
     rasterize: Rasterizer
@@ -140,6 +143,7 @@ def open_run(
     config = read_config(folder)
     opened = Capture.open(capture or find_capture(folder, config))
     tensors, record = load_checkpoint(folder / "checkpoints", step)
+<<<<<<< HEAD
     return assemble_run(folder, opened, tensors, (record["step"], record["sha256"]), device, backend)
 
 
@@ -159,27 +163,82 @@ def assemble_run(
     config = read_config(folder)
     split = read_split(folder)
     scene, reader = make_scene(config, opened, split, device)
+=======
+    return assembled_run(
+        folder,
+        StoredAvatar(config, opened, load_head(opened.head_path), read_split(folder), tensors, record["step"]),
+        device,
+        backend,
+        provenance=_read_run_file(folder / "provenance.json"),
+        sha256=record["sha256"],
+    )
+
+
+@dataclass(frozen=True)
+class StoredAvatar:
+    """What an avatar is built from again, wherever it was stored.
+
+    Attributes:
+        config: Of its training.
+        capture: Its tracking; images are not needed.
+        head: The head model.
+        split: Frames trained on and tested on.
+        tensors: The avatar's part of a checkpoint.
+        step: Steps trained.
+    """
+
+    config: RunConfig
+    capture: Capture
+    head: HeadModel
+    split: Split
+    tensors: Mapping[str, Tensor]
+    step: int
+
+
+def assembled_run(
+    folder: Path, stored: StoredAvatar, device: str, backend: str, provenance: dict[str, Any], sha256: str
+) -> Run:
+    """A run from its parts.
+
+    Raises:
+        InputError: They do not fit together.
+    """
+    config, capture = stored.config, stored.capture
+    scene, reader = make_scene(config, capture, stored.split, device, head=stored.head)
+>>>>>>> 0532dad972847c6460cfb8f0774257ee79ba38b6
     method = registry.load(config.method)
-    avatar = method.build(method.config_from(config.method_config, str(folder / "config.json")), scene)
-    unpack_avatar(avatar, tensors)
+    avatar = method.build(method.config_from(config.method_config, f"{folder}: method_config"), scene)
+    unpack_avatar(avatar, stored.tensors)
     return Run(
         folder=folder,
         method=config.method,
         avatar=avatar.eval(),
-        capture=opened,
-        split=split,
+        capture=capture,
+        head=scene.head,
+        split=stored.split,
         background=scene.background,
         rasterize=method.rasterizer(device, backend),
         config=config,
+<<<<<<< HEAD
         provenance=_read_run_file(folder / "provenance.json"),
         step=origin[0],
         sha256=origin[1],
+=======
+        provenance=provenance,
+        step=stored.step,
+        sha256=sha256,
+>>>>>>> 0532dad972847c6460cfb8f0774257ee79ba38b6
         reader=reader,
     )
 
 
 def make_scene(
-    config: RunConfig, capture: Capture, split: Split, device: str, rasterize: Rasterizer | None = None
+    config: RunConfig,
+    capture: Capture,
+    split: Split,
+    device: str,
+    rasterize: Rasterizer | None = None,
+    head: HeadModel | None = None,
 ) -> tuple[Scene, Frames]:
     """The scene a method is built from, and the reader of its frames.
 
@@ -189,8 +248,9 @@ def make_scene(
         split: Frames to train on and to test on.
         device: Device of the tensors.
         rasterize: The renderer, for a new training; None for a trained avatar, whose scene needs no sample frames.
+        head: The head model; None reads that of the capture.
     """
-    head = load_head(capture.head_path).to(device, torch.float32)
+    head = (head or load_head(capture.head_path)).to(device, torch.float32)
     background = torch.tensor(config.background, device=device)
     reader = Frames(capture, head, background, device, config.training.cache_mib)
     samples: tuple[Frame, ...] = ()

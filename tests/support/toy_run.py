@@ -118,7 +118,7 @@ def toy_run(folder: Path) -> Run:
     (folder / "run").mkdir(parents=True)
     white = torch.ones(3)
     return Run(
-        folder=folder / "run", method="toy", avatar=ToyAvatar(head()), capture=capture,
+        folder=folder / "run", method="toy", avatar=ToyAvatar(head()), capture=capture, head=head(),
         split=capture.splits["every-20th"], background=white, rasterize=rasterize,
         config=RunConfig("toy", str(capture.folder)), provenance={}, step=7, sha256="00",
         reader=Frames(capture, head(), white, "cpu"),

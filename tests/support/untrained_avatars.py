@@ -10,6 +10,7 @@ import torch
 from ggavatar.core import Drive
 from ggavatar.data.capture import Capture
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
+from ggavatar.head.files import load_head
 from ggavatar.head.model import HeadModel
 from ggavatar.render.reference import rasterize
 from ggavatar.training.plan import TrainingPlan
@@ -74,7 +75,8 @@ def random_drives(head: HeadModel, count: int, root_still: bool) -> list[Drive]:
 def run_of(avatar: Any, reader: Any, capture: Capture) -> Run:
     """A run that was never trained."""
     return Run(
-        folder=capture.folder, method="any", avatar=avatar, capture=capture, split=capture.splits["every-20th"],
+        folder=capture.folder, method="any", avatar=avatar, capture=capture, head=load_head(capture.head_path),
+        split=capture.splits["every-20th"],
         background=torch.ones(3), rasterize=rasterize, config=RunConfig("any", str(capture.folder)), provenance={},
         step=1, sha256="00", reader=reader,
     )  # fmt: skip

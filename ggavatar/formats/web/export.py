@@ -13,6 +13,7 @@ import torch
 from ggavatar.core import Drive
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.errors import InputError
+from ggavatar.formats.licensed_heads import check_license
 from ggavatar.formats.output_folder import check_output_file
 from ggavatar.formats.web.clips import Clip, capture_clip, clip_arrays
 from ggavatar.formats.web.container import MAX_GAUSSIANS, MAX_UNPACKED_BYTES, pack
@@ -23,12 +24,9 @@ from ggavatar.formats.web.pruning import VIEWS, kept_rows, visible_weights
 from ggavatar.formats.web.reduction import reduced
 from ggavatar.formats.web.tensors import Tensors, avatar_tensors, chosen_rows, rounded
 from ggavatar.gaussians.bound_parts import BoundParts, condition, posed
-from ggavatar.head.model import HeadModel
 from ggavatar.io.atomic import write_text
 from ggavatar.training.run_folder import Run
 
-LICENSED_HEADS = ("flame",)
-"""Families of heads whose arrays may not be passed on without their owners' consent."""
 RANK_FRAMES = 160
 """Training frames whose offsets decide which hidden columns are kept."""
 COMPARED_FRAMES = 4
@@ -72,7 +70,7 @@ def export_web(run: Run, options: WebOptions, path: Path, overwrite: bool, clips
     check_web_options(options)
     check_output_file(path, overwrite)
     whole = parts_of(run)
-    check_license(run, whole.head, options)
+    check_license(run.folder, whole.head, "page", options.include_head_model)
     own = capture_clip(run, options.clip)
     drives = [run.reader.drive(number) for number in run.split.train] or [whole.head.neutral_drive()]
     small = _smaller(run, whole, options, drives)
@@ -99,16 +97,6 @@ def parts_of(run: Run) -> BoundParts:
             "render a video with ggavatar-render instead"
         )
     return offer()
-
-
-def check_license(run: Run, head: HeadModel, options: WebOptions) -> None:
-    """Refuse to pass on a licensed head model unless its user says so."""
-    if head.version.startswith(LICENSED_HEADS) and not options.include_head_model:
-        raise InputError(
-            f"{run.folder}: the page would contain the template, the bases and the weights of the head model "
-            f"{head.version!r}, whose license does not let you pass them on; add --include-head-model if yours does, "
-            "or if the page stays with you"
-        )
 
 
 def _smaller(run: Run, whole: BoundParts, options: WebOptions, drives: Sequence[Drive]) -> BoundParts:

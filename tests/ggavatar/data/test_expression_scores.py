@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluate.motion.driving_sequence import driving_sequence_of
-from evaluate.motion.expression_scores import faces_in, scores_of, with_scores
+from ggavatar.data.expression_scores import faces_in, measured_scores, scores_of
 from ggavatar.landmarks.blendshapes import BlendshapeNetwork
 from ggavatar.landmarks.tracker import LandmarkTracker
 from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable
@@ -25,7 +24,7 @@ def test_without_the_network_there_are_no_scores(tmp_path: Path, monkeypatch: py
         raise ModelUnavailable(f"{name} is not here")
 
     monkeypatch.setattr(finder, "find", unavailable)
-    assert with_scores(driving_sequence_of(capture), capture, finder).scores is None
+    assert measured_scores(capture, capture.frames, finder) is None
 
 
 def test_stored_landmarks_are_scored(tmp_path: Path, pretrained: Callable[[str], Path]) -> None:
@@ -35,8 +34,8 @@ def test_stored_landmarks_are_scored(tmp_path: Path, pretrained: Callable[[str],
     points = np.random.default_rng(0).uniform(0, 20, (COUNT, 478, 2)).astype(np.float32)
     points[3] = np.nan
     capture = dataclasses.replace(capture, tracking=dataclasses.replace(capture.tracking, landmarks=points))
-    sequence = driving_sequence_of(capture).rows(np.array([1, 3, 5]))
-    found = with_scores(sequence, capture, ModelFinder(bundle.parent, offline=True)).scores
+    chosen = [capture.frames[row] for row in (1, 3, 5)]
+    found = measured_scores(capture, chosen, ModelFinder(bundle.parent, offline=True))
     assert found is not None and np.isnan(found[1]).all()
     network = BlendshapeNetwork(bundle)
     np.testing.assert_array_equal(found[[0, 2]], [network.scores(points[1]), network.scores(points[5])])
@@ -46,7 +45,7 @@ def test_images_without_faces_give_no_scores(tmp_path: Path, pretrained: Callabl
     bundle = pretrained("face_landmarker")
     capture = write_capture(tmp_path / "capture")
     finder = ModelFinder(bundle.parent, offline=True)
-    assert with_scores(driving_sequence_of(capture), capture, finder).scores is None
+    assert measured_scores(capture, capture.frames, finder) is None
 
 
 def test_images_are_looked_at_one_by_one() -> None:
@@ -74,4 +73,4 @@ def test_one_face_is_not_enough_to_learn_from(tmp_path: Path, pretrained: Callab
     points[2] = np.random.default_rng(0).uniform(0, 20, (478, 2))
     capture = dataclasses.replace(capture, tracking=dataclasses.replace(capture.tracking, landmarks=points))
     finder = ModelFinder(bundle.parent, offline=True)
-    assert with_scores(driving_sequence_of(capture), capture, finder).scores is None
+    assert measured_scores(capture, capture.frames, finder) is None

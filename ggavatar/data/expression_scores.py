@@ -2,52 +2,50 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from evaluate.motion.driving_sequence import DrivingSequence
 from ggavatar.data.capture import Capture
+from ggavatar.data.capture_without_images import CaptureWithoutImages
 from ggavatar.io.images import read_rgb
 from ggavatar.landmarks.blendshapes import NAMES, BlendshapeNetwork
 from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable
 
 LANDMARKS = 478
+_UNKNOWN = np.full(len(NAMES), np.nan)
 
 
-def with_scores(sequence: DrivingSequence, capture: Capture, finder: ModelFinder) -> DrivingSequence:
-    """The sequence of a capture with the scores of its frames.
+def measured_scores(capture: Capture, frames: Sequence[int], finder: ModelFinder) -> Float[np.ndarray, "T 52"] | None:
+    """The scores of some frames in the order of `NAMES`, NaN without a face.
 
-    It has none if the face landmarker cannot be had, or fewer than two frames show a face.
+    None if the face landmarker cannot be had, or fewer than two of the frames show a face.
 
     Args:
-        sequence: Frames of `capture`.
-        capture: Where they come from; landmarks that it stores are used, other images are looked at.
+        capture: Landmarks that it stores are used, other images are looked at.
+        frames: Source frame numbers.
         finder: Finds the networks.
     """
+    rows = [capture.row(frame) for frame in frames]
+    if isinstance(capture, CaptureWithoutImages):
+        return None if capture.scores is None else _enough(capture.scores[rows])
     try:
         bundle = finder.find("face_landmarker")
     except ModelUnavailable:
-        return sequence
+        return None
     stored = capture.tracking.landmarks
     if stored is not None and stored.shape[1] == LANDMARKS:
-        network, rows = BlendshapeNetwork(bundle), [capture.frames.index(frame) for frame in sequence.frames]
+        network = BlendshapeNetwork(bundle)
         known = [network.scores(points) if np.isfinite(points).all() else _UNKNOWN for points in stored[rows]]
-        return _with(sequence, np.array(known, np.float64))
-    images = (read_rgb(capture.image_path("images", frame)) for frame in sequence.frames)
-    return _with(sequence, scores_of(faces_in(images, LandmarkTracker(bundle))))
+        return _enough(np.array(known, np.float64))
+    images = (read_rgb(capture.image_path("images", frame)) for frame in frames)
+    return _enough(scores_of(faces_in(images, LandmarkTracker(bundle))))
 
 
-def _with(sequence: DrivingSequence, scores: Float[np.ndarray, "T 52"]) -> DrivingSequence:
-    """The sequence with scores, unless fewer than two frames show a face."""
-    enough = np.isfinite(scores).all(axis=1).sum() > 1
-    return dataclasses.replace(sequence, scores=scores if enough else None)
-
-
-_UNKNOWN = np.full(len(NAMES), np.nan)
+def _enough(scores: Float[np.ndarray, "T 52"]) -> Float[np.ndarray, "T 52"] | None:
+    return scores if np.isfinite(scores).all(axis=1).sum() > 1 else None
 
 
 def faces_in(images: Iterable[np.ndarray], tracker: LandmarkTracker) -> Iterator[Landmarks | None]:
