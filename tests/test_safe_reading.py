@@ -89,12 +89,8 @@ ALLOWED_TO_OPEN = {
     ("preprocess/masks/networks.py", "onnxruntime.InferenceSession"): "bytes; operators and numbers only",
     ("preprocess/video/alpha_stream.py", "av.CodecContext.create"): "a decoder by name",
     ("preprocess/video/decoding.py", "av.open"): "an opened file, and containers that name no other files",
-<<<<<<< HEAD
-=======
     ("evaluate/viewer/moving_pictures.py", "av.open"): "an opened file, and containers that name no other files",
     ("evaluate/viewer/moving_pictures.py", "cv2.VideoCapture"): "a camera by its number",
-    ("evaluate/figures/report.py", "(files('evaluate.figures') / TEMPLATE).read_text"): "a file of the package",
->>>>>>> e5ba6314aa4f0ee9a39a5e6af295d50df45634b8
     ("evaluate/metrics/faces.py", "cv2.FaceRecognizerSF.create"): "a file whose SHA-256 is known",
 }
 

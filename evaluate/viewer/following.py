@@ -16,7 +16,7 @@ from torch import Tensor
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.training.checkpoint import complete_steps, has_checkpoint, load_checkpoint, unpack_avatar
-from ggavatar.training.run_folder import Run, assemble_run, find_capture, holds_run, open_run, read_config
+from ggavatar.training.run_folder import Run, find_capture, holds_run, open_run, read_config, run_with_tensors
 from ggavatar.training.snapshot import SNAPSHOT, read_snapshot
 
 INTERVAL = 2.0
@@ -104,7 +104,7 @@ def open_in_progress(folder: Path, device: str, backend: str, capture: Path | No
         return open_run(folder, device, None, backend, capture)
     tensors, step = read
     opened = Capture.open(capture or find_capture(folder, read_config(folder)))
-    return assemble_run(folder, opened, tensors, (step, "snapshot"), device, backend)
+    return run_with_tensors(folder, opened, tensors, (step, "snapshot"), device, backend)
 
 
 class Follower:

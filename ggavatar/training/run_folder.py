@@ -143,35 +143,28 @@ def open_run(
     config = read_config(folder)
     opened = Capture.open(capture or find_capture(folder, config))
     tensors, record = load_checkpoint(folder / "checkpoints", step)
-<<<<<<< HEAD
-    return assemble_run(folder, opened, tensors, (record["step"], record["sha256"]), device, backend)
+    return run_with_tensors(folder, opened, tensors, (record["step"], record["sha256"]), device, backend)
 
 
-def assemble_run(
+def run_with_tensors(
     folder: Path, opened: Capture, tensors: Mapping[str, Tensor], origin: tuple[int, str], device: str, backend: str
 ) -> Run:
-    """A run with an avatar from tensors that have been read.
+    """The run of a folder with an avatar from tensors that have been read.
 
     Args:
         folder: The run.
         opened: Its capture.
-        tensors: As in a checkpoint.
-        origin: Step and SHA-256 of the tensors.
+        tensors: The avatar's part of a checkpoint or a snapshot.
+        origin: Step and SHA-256 of the tensors, or what they are instead of a checkpoint.
         device: Device of the avatar.
         backend: The rasterizer.
+
+    Raises:
+        InputError: The folder's files or the tensors do not fit together.
     """
-    config = read_config(folder)
-    split = read_split(folder)
-    scene, reader = make_scene(config, opened, split, device)
-=======
-    return assembled_run(
-        folder,
-        StoredAvatar(config, opened, load_head(opened.head_path), read_split(folder), tensors, record["step"]),
-        device,
-        backend,
-        provenance=_read_run_file(folder / "provenance.json"),
-        sha256=record["sha256"],
-    )
+    step, sha256 = origin
+    stored = StoredAvatar(read_config(folder), opened, load_head(opened.head_path), read_split(folder), tensors, step)
+    return assembled_run(folder, stored, device, backend, _read_run_file(folder / "provenance.json"), sha256)
 
 
 @dataclass(frozen=True)
@@ -205,7 +198,6 @@ def assembled_run(
     """
     config, capture = stored.config, stored.capture
     scene, reader = make_scene(config, capture, stored.split, device, head=stored.head)
->>>>>>> 0532dad972847c6460cfb8f0774257ee79ba38b6
     method = registry.load(config.method)
     avatar = method.build(method.config_from(config.method_config, f"{folder}: method_config"), scene)
     unpack_avatar(avatar, stored.tensors)
@@ -219,15 +211,9 @@ def assembled_run(
         background=scene.background,
         rasterize=method.rasterizer(device, backend),
         config=config,
-<<<<<<< HEAD
-        provenance=_read_run_file(folder / "provenance.json"),
-        step=origin[0],
-        sha256=origin[1],
-=======
         provenance=provenance,
         step=stored.step,
         sha256=sha256,
->>>>>>> 0532dad972847c6460cfb8f0774257ee79ba38b6
         reader=reader,
     )
 

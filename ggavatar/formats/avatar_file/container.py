@@ -75,9 +75,7 @@ def write_container(path: Path, content: Container) -> int:
     packed = {f"{name}.safetensors": _packed(content.groups[name]) for name in TENSORS}
     if sum(map(len, packed.values())) > MAX_UNPACKED_BYTES:
         raise InputError(f"{path}: an avatar file holds at most {MAX_UNPACKED_BYTES >> 20} MiB, found a larger avatar")
-    members = {
-        name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in packed.items()
-    }
+    members = {name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in packed.items()}
     described = sealed({"schema": SCHEMA, "version": VERSION, **content.description, "members": members})
     text = json.dumps(described, indent=1, allow_nan=False).encode()
     buffer = io.BytesIO()
