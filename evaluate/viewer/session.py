@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from evaluate.motion.driving_sequence import driving_sequence_of
-from evaluate.motion.expression_scores import with_scores
 from evaluate.motion.live import LiveTransfer
 from evaluate.protocols.protocol import GIVEN
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
@@ -33,6 +32,7 @@ from evaluate.viewer.run_scene import RunScene
 from evaluate.viewer.server import ViewerServer, require_viser
 from ggavatar.data.background import parse_background
 from ggavatar.data.capture import DESCRIPTION, Capture
+from ggavatar.data.expression_scores import with_scores
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file

@@ -102,7 +102,7 @@ def stored_capture(
 
 
 def _numbers(path: Path, clip: Mapping[str, Any], name: str) -> tuple[int, ...]:
-    value = clip.get(name)
+    value: Any = clip.get(name)
     whole = isinstance(value, list) and all(type(number) is int and 0 <= number < 1 << 31 for number in value)
     if not whole or len(value) > MAX_FRAMES or sorted(set(value)) != value:
         raise InputError(f"{path}: expected {name!r} to list ascending frame numbers; export the avatar again")
