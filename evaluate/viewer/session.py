@@ -7,7 +7,7 @@ import copy
 import os
 import sys
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -32,7 +32,7 @@ from evaluate.viewer.run_scene import RunScene
 from evaluate.viewer.server import ViewerServer, require_viser
 from ggavatar.data.background import parse_background
 from ggavatar.data.capture import DESCRIPTION, Capture
-from ggavatar.data.expression_scores import with_scores
+from ggavatar.data.expression_scores import measured_scores
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
@@ -179,9 +179,10 @@ def _performer(source: str, server: ViewerServer, scene: RunScene) -> Performer:
 
     def learn() -> LiveTransfer:
         run = scene.run
-        seen = driving_sequence_of(run.capture)
-        rows = [seen.row(number) for number in evenly_spaced(run.split.train, LEARNED_FRAMES)]
-        return LiveTransfer(with_scores(seen.rows(np.array(rows)), run.capture, finder), scene.controls.head)
+        whole = driving_sequence_of(run.capture)
+        seen = whole.rows(np.array([whole.row(number) for number in evenly_spaced(run.split.train, LEARNED_FRAMES)]))
+        scores = measured_scores(run.capture, seen.frames, finder)
+        return LiveTransfer(replace(seen, scores=scores), scene.controls.head)
 
     performer = panel.performer = Performer(play, tracker, learn, panel)
     return performer
