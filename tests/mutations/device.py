@@ -33,14 +33,14 @@ MUTATIONS = (
         "ggavatar/render/triton/gradient.py",
         "moved = translation[line] * center[column]",
         "moved = 0.0 * center[column]",
-        (f"{GRADIENTS}[16-None-0.1]",),
+        (f"{GRADIENTS}[16-None-0.12]",),
     ),
     Mutation(
         "gradients_of_clamped_colors_on_cuda",
         "ggavatar/render/triton/gradient.py",
         "red = tl.where(tl.load(drawn + RED, mask=seen, other=0.0) > 0, to_color[0], 0.0)",
         "red = tl.where(seen, to_color[0], 0.0)",
-        (f"{GRADIENTS}[16-None-0.1]", f"{GRADIENTS}[9-None-0.6]"),
+        (f"{GRADIENTS}[16-None-0.12]", f"{GRADIENTS}[9-None-0.6]"),
     ),
     Mutation(
         "pairs_without_memory_are_forgotten",
