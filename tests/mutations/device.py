@@ -43,10 +43,10 @@ MUTATIONS = (
         (f"{GRADIENTS}[16-None-0.12]", f"{GRADIENTS}[9-None-0.6]"),
     ),
     Mutation(
-        "pairs_without_memory_are_forgotten",
-        "ggavatar/render/triton/tiles.py",
-        "tl.where(overflowed, rows, end)",
-        "end",
+        "pairs_without_memory_share_one_place",
+        "ggavatar/render/triton/tile_gradient.py",
+        "tl.where(overflowed, k, tl.load(places",
+        "tl.where(overflowed, 0 * k, tl.load(places",
         (f"{TRITON}::test_too_many_pairs_cost_time_and_no_pixels",),
     ),
     Mutation(
