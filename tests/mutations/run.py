@@ -90,6 +90,8 @@ def _context(preloaded: tuple[str, ...]) -> Any:
     """Where processes come from: a fork server, or new interpreters on systems without one."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
+    # torch._dynamo imports triton, which decides then whether kernels are interpreted, as the tests want them.
+    os.environ.setdefault("TRITON_INTERPRET", "1")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(preloaded))
     return context

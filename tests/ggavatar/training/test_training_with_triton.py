@@ -30,10 +30,11 @@ pytestmark = interpreted
 
 
 def logged(capture: Capture, folder: Path, method: str, settings: list[str], steps: int) -> list[dict[str, Any]]:
-    """The terms of the objective at every step."""
+    """The terms of the objective at every step, on frames of 16 × 16 px."""
     options = {"method": method, "steps": steps, "eval_every": 0, "max_gaussians": 200, "device": "cpu"}
     config, split = configure(capture, {**options, "set": settings})
-    config = dataclasses.replace(config, training=dataclasses.replace(config.training, log_every=1))
+    plan = dataclasses.replace(config.training, log_every=1, resolutions=((1.0, 0.34),), smallest=16)
+    config = dataclasses.replace(config, training=plan)
     folder.mkdir(parents=True)
     write_config(folder, config, split)
     write_json(folder / "provenance.json", {})
