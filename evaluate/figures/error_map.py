@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cache
 
-import matplotlib
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -34,6 +33,8 @@ def scale_bar(height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
 @cache
 def _palette() -> UInt8[np.ndarray, "256 3"]:
     """The 256 colors of the scale, read-only because cached."""
+    import matplotlib  # half a second that a viewer without an error map can do without
+
     palette = (matplotlib.colormaps[COLORMAP](np.arange(256))[:, :3] * 255).round().astype(np.uint8)
     palette.setflags(write=False)
     return palette

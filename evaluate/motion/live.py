@@ -76,9 +76,11 @@ def look_of(scores: Float[np.ndarray, "52"], points: Float[np.ndarray, "478 2"],
         points: Landmarks, px (pixel centers at +0.5).
         size: Width and height of the picture, px.
     """
-    found, rotation, translation = cv2.solvePnP(
-        _POINTS[_STEADY], points[_STEADY].astype(np.float64), assumed_intrinsics(*size), None, flags=cv2.SOLVEPNP_SQPNP
-    )
+    lens, steady = assumed_intrinsics(*size), points[_STEADY].astype(np.float64)
+    try:
+        found, rotation, translation = cv2.solvePnP(_POINTS[_STEADY], steady, lens, None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:  # all landmarks in one place
+        return None
     if not found or not np.isfinite(rotation).all() or not np.isfinite(translation).all() or translation[2, 0] <= 0:
         return None
     return Look(scores[1:].astype(np.float64), rotation[:, 0], translation[:, 0])

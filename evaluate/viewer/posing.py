@@ -17,7 +17,7 @@ from evaluate.viewer.orbit import Bounds
 from ggavatar.core import Camera, Drive
 from ggavatar.formats.drives import mean_training_view
 from ggavatar.formats.web.controls import Slider, sliders, view_range
-from ggavatar.geometry.transforms import axis_angle_to_matrix, invert_rigid, rigid
+from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 
@@ -137,8 +137,3 @@ def with_value(drive: Drive, slider: Slider, value: float) -> Drive:
         field = changed.setdefault(part, getattr(drive, part).clone())
         field.view(-1)[place] = value * factor
     return dataclasses.replace(drive, frame=None, **changed)
-
-
-def view_of(camera: Camera, drive: Drive) -> Float[Tensor, "4 4"]:
-    """From the head's space to the world's, for a drive seen by a camera."""
-    return invert_rigid(camera.world_to_camera) @ drive.head_to_camera

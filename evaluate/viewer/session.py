@@ -7,14 +7,11 @@ import copy
 import os
 import sys
 import threading
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-import numpy as np
 import torch
 
-from evaluate.motion.driving_sequence import driving_sequence_of
-from evaluate.motion.live import LiveTransfer
 from evaluate.protocols.protocol import GIVEN
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
@@ -23,32 +20,26 @@ from evaluate.viewer.capture_scene import CaptureScene
 from evaluate.viewer.drawing import NICE, Drawing, Scene
 from evaluate.viewer.file_scene import FileScene
 from evaluate.viewer.following import Follower, Found, Newest, is_in_progress, open_in_progress, successor
-from evaluate.viewer.live_panel import LivePanel
-from evaluate.viewer.moving_pictures import pictures_of
 from evaluate.viewer.options import Options
-from evaluate.viewer.performer import Performer
 from evaluate.viewer.run_panel import RunPanel
 from evaluate.viewer.run_scene import RunScene
 from evaluate.viewer.server import ViewerServer, require_viser
 from ggavatar.data.background import parse_background
 from ggavatar.data.capture import DESCRIPTION, Capture
-from ggavatar.data.expression_scores import measured_scores
-from ggavatar.data.frames import evenly_spaced
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import is_gaussian_file
-from ggavatar.landmarks.tracker import LandmarkTracker
-from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
 from ggavatar.text.terminal import write_err, write_out
 from ggavatar.training.run_folder import Run, holds_run
 
-LEARNED_FRAMES = 120
-"""Training frames from which a performance learns what the avatar's codes show."""
-
 
 @runtime_checkable  # the tests' run-time type checker needs it
-class Stoppable(Protocol):
-    """What works in a thread of its own."""
+class Companion(Protocol):
+    """What works in a thread of its own beside the drawing."""
+
+    def start(self) -> None:
+        """Begin to work."""
+        ...
 
     def stop(self) -> None:
         """Work no more."""
@@ -61,7 +52,7 @@ class Session:
 
     server: ViewerServer
     drawing: Drawing
-    others: list[Stoppable] = field(default_factory=list)
+    others: list[Companion] = field(default_factory=list)
 
     def close(self) -> None:
         """Stop drawing and serving."""
@@ -139,18 +130,29 @@ def _show_run(options: Options, run: Run, is_followed: bool = False) -> Session:
     blank = copy.deepcopy(run.avatar) if is_followed else None
     scene = RunScene(run, background_of(options, run.background))
     session = _serve(options, scene, run.capture.subject)
-    performer = None if options.webcam is None else _performer(options.webcam, session.server, scene)
+    try:
+        _add_performer(options, session, scene)
+    except InputError:
+        session.close()
+        raise
     panel = RunPanel(session.server, scene, session.drawing)
     scene.changed = session.drawing.wake
     session.server.show(session.drawing, scene.controls.pivot)
     session.drawing.submit(scene.count)
     session.drawing.submit(panel.describe)
-    if performer is not None:
-        session.others.append(performer)
-        performer.start()
     if blank is not None:
         session.others.append(_following(run, blank, scene, panel, session.drawing))
+    for other in session.others:
+        other.start()
     return session
+
+
+def _add_performer(options: Options, session: Session, scene: RunScene) -> None:
+    """Add the performer of --webcam, who does not begin yet."""
+    if options.webcam is not None:
+        from evaluate.viewer.performance import performer_of  # takes half a second that others can do without
+
+        session.others.append(performer_of(options.webcam, session.server, scene))
 
 
 def _following(run: Run, blank: torch.nn.Module, scene: RunScene, panel: RunPanel, drawing: Drawing) -> Follower:
@@ -161,31 +163,7 @@ def _following(run: Run, blank: torch.nn.Module, scene: RunScene, panel: RunPane
         scene.replace_avatar(successor(blank, tensors, run.background.device), step)
         panel.describe()
 
-    follower = Follower(Newest(run.folder, run.step), lambda found: drawing.submit(lambda: put(found)))
-    follower.start()
-    return follower
-
-
-def _performer(source: str, server: ViewerServer, scene: RunScene) -> Performer:
-    """A performer before a camera or in a video, for the avatar of a scene.
-
-    Raises:
-        InputError: There is no such camera or video, or the landmark network cannot be had.
-    """
-    finder = ModelFinder()
-    tracker = LandmarkTracker(finder.find("face_landmarker"))
-    play = pictures_of(source)
-    panel = LivePanel(server, scene)
-
-    def learn() -> LiveTransfer:
-        run = scene.run
-        whole = driving_sequence_of(run.capture)
-        seen = whole.rows(np.array([whole.row(number) for number in evenly_spaced(run.split.train, LEARNED_FRAMES)]))
-        scores = measured_scores(run.capture, seen.frames, finder)
-        return LiveTransfer(replace(seen, scores=scores), scene.controls.head)
-
-    performer = panel.performer = Performer(play, tracker, learn, panel)
-    return performer
+    return Follower(Newest(run.folder, run.step), lambda found: drawing.submit(lambda: put(found)))
 
 
 def _show_capture(options: Options, capture: Capture) -> Session:

@@ -61,6 +61,10 @@ def test_poses_are_found_from_landmarks() -> None:
     np.testing.assert_allclose(found.scores, np.arange(1, 52) / 52)
 
 
+def test_landmarks_that_no_pose_explains_are_none() -> None:
+    assert look_of(np.zeros(52), np.full((478, 2), 5.0), SIZE) is None
+
+
 def test_an_open_mouth_does_not_nod() -> None:
     face = average_face().vertices.copy()
     face[face[:, 1] < -0.04] += [0, -0.015, 0]

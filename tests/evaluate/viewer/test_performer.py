@@ -19,7 +19,7 @@ import pytest
 
 from evaluate.figures.video import video_writer
 from evaluate.motion.live import Look
-from evaluate.viewer import moving_pictures, performer
+from evaluate.viewer import moving_pictures, performance, performer
 from evaluate.viewer.live_panel import LivePanel
 from evaluate.viewer.moving_pictures import MOST_SIDE, camera_pictures, paced, pictures_of, reduced
 from evaluate.viewer.performer import MOST_HEIGHT, POINT_COLOR, REST_LOOKS, Performer, small
@@ -239,6 +239,24 @@ def test_cameras_go_by_number(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="--webcam 7"):
         pictures_of("7")
     assert next(iter(camera_pictures(Camera(9)))).flags.c_contiguous
+
+
+def test_a_performance_learns_from_training_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[Any] = []
+    monkeypatch.setattr(performance.ModelFinder, "find", lambda self, name: seen.append(name) or tmp_path)
+    monkeypatch.setattr(performance, "LandmarkTracker", lambda path: Tracker())
+    monkeypatch.setattr(performance, "pictures_of", lambda source: lambda: iter([BLANK]))
+    monkeypatch.setattr(performance, "with_scores", lambda rows, capture, finder: seen.append(rows.frames) or rows)
+    scene = RunScene(toy_run(tmp_path))
+    made = performance.performer_of("0", FakeServer(), scene)
+    with pytest.raises(InputError, match="measured"):
+        made._learn()  # no scores in this stand-in
+    assert seen == ["face_landmarker", scene.run.split.train]
+    made._learn = lambda: lambda look, rest, size: (head().neutral_drive(), camera())  # type: ignore[assignment,return-value]
+    made.calibrate()
+    made.start()
+    wait_until(lambda: scene.beside is not None)
+    made.stop()
 
 
 def test_large_pictures_are_reduced() -> None:

@@ -92,6 +92,23 @@ def test_captures_and_files_are_told_by_what_they_are(run: Run, tmp_path: Path) 
         assert isinstance(session.drawing.scene, kind)
 
 
+def test_only_runs_are_driven(run: Run) -> None:
+    with pytest.raises(InputError, match="--webcam"):
+        open_session(Options(run.capture.folder, port=0, webcam="0"))
+
+
+def test_a_camera_that_is_missing_leaves_no_server_behind(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> None:
+        raise InputError("no camera")
+
+    (run.folder / "config.json").write_text("{}")
+    monkeypatch.setattr("evaluate.viewer.performance.performer_of", missing)
+    before = threading.active_count()
+    with pytest.raises(InputError, match="no camera"):
+        open_session(Options(run.folder, port=0, webcam="0", device="cpu"))
+    assert threading.active_count() <= before
+
+
 def test_it_ends_when_it_is_told_to(run: Run, capsys: Any) -> None:
     ended = threading.Event()
     ended.set()
