@@ -87,7 +87,6 @@ ALLOWED_TO_OPEN = {
     ("preprocess/masks/networks.py", "onnxruntime.InferenceSession"): "bytes; operators and numbers only",
     ("preprocess/video/alpha_stream.py", "av.CodecContext.create"): "a decoder by name",
     ("preprocess/video/decoding.py", "av.open"): "an opened file, and containers that name no other files",
-    ("evaluate/figures/report.py", "(files('evaluate.figures') / TEMPLATE).read_text"): "a file of the package",
     ("evaluate/metrics/faces.py", "cv2.FaceRecognizerSF.create"): "a file whose SHA-256 is known",
 }
 

@@ -12,7 +12,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import write_png
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
+from preprocess.formats.registry import SWAPPED_SIZE
 from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.read_stage import open_input, selection_of
@@ -86,7 +86,7 @@ def choose_crop(context: StageContext) -> Crop:
     if options.crop != "auto":
         return explicit_crop(options.crop, width, height, options.size)
     if options.tracking is not None:
-        return _crop_for_tracking(read_tracking_record(options)[1], width, height, options.size)
+        return _crop_for_tracking(context.tracking_record()[1], width, height, options.size)
     return _crop_for_faces(context, width, height)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -12,6 +13,7 @@ from ggavatar.errors import InputError
 from ggavatar.io.atomic import remove_partial_files
 from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.held_folders import make_folder
+from preprocess.formats.registry import read_tracking_record
 from preprocess.options import PrepOptions
 from preprocess.pipeline import (
     crop_stage,
@@ -90,12 +92,13 @@ def _run_stages(
     fingerprints: Sequence[str],
 ) -> Results:
     results: dict[str, Mapping[str, Any]] = {}
+    record = functools.cache(lambda: read_tracking_record(options))
     for stage, fingerprint_ in zip(stages, fingerprints, strict=True):
         result = finished_result(options.output_dir, stage, fingerprint_)
         with reporter(stage, result is not None) as stage_reporter:
             if result is None:
                 recording = RecordingReporter(stage_reporter)
-                context = StageContext(options, options.output_dir, results, recording)
+                context = StageContext(options, options.output_dir, results, recording, record)
                 result = _run(stage, context, fingerprint_, recording)
             else:
                 repeat_messages(options.output_dir, stage, stage_reporter)

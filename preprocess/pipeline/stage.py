@@ -13,6 +13,7 @@ from ggavatar.data.capture_schema import RECORDS
 from ggavatar.errors import InputError
 from ggavatar.io.atomic import write_text
 from ggavatar.io.json_files import read_json, readable_json
+from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 
 
@@ -68,12 +69,15 @@ class StageContext:
         folder: The capture folder to write.
         results: Results of the earlier stages by name.
         reporter: Receives progress and warnings.
+        tracking_record: Gives the format's name and the tracking that `--tracking` names; read once a run, since
+            several stages need it and a folder of thousands of files takes seconds.
     """
 
     options: PrepOptions
     folder: Path
     results: Mapping[str, Mapping[str, Any]]
     reporter: Reporter
+    tracking_record: Callable[[], tuple[str, TrackingRecord]]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from ggavatar.io.npz import write_npz
 from preprocess.doctor.conventions import apply_fixes
 from preprocess.doctor.frame_offset import find_offset
 from preprocess.evidence.survey import read_survey
-from preprocess.formats.registry import SWAPPED_SIZE, read_tracking_record
+from preprocess.formats.registry import SWAPPED_SIZE
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.pipeline.face_stage import SURVEY
@@ -120,7 +120,7 @@ class ImagesOnDisk(Sequence[np.ndarray]):
 def _imported(context: StageContext, numbers: list[int]) -> tuple[list[int], TrackedSequence]:
     """Another tracker's output, fitted to the head, converted to the capture's pixels and paired with its frames."""
     options = context.options
-    name, record = read_tracking_record(options)
+    name, record = context.tracking_record()
     head, version_note = _head(options, record)
     crop = crop_from_json(dict(context.results["crop"]["crop"]))
     tracking = to_tracking(record, head.expression_basis.shape[2], head.joint_names, context)

@@ -25,8 +25,8 @@ MUTATIONS = (
     Mutation(
         "metrical_tracker_jaw_ignored",
         "preprocess/formats/importers/metrical_tracker.py",
-        "joints[2:] = np.stack([axis_angle_of(row) for row in (flame.array(_JAW, (6,), (3,)), *eyes)])",
-        "joints[3:] = np.stack([axis_angle_of(row) for row in eyes])",
+        "joints[2:] = axis_angles_of(flame.array(_JAW, (6,), (3,)), *eyes)",
+        "joints[3:] = axis_angles_of(*eyes)",
         (ROUND_TRIP,),
     ),
     Mutation(

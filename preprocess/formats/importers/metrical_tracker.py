@@ -75,7 +75,7 @@ def _read_frame(path: Path, assume: Assume) -> Frame:
     intrinsics, pose = _camera(content, width, height)
     eyes = flame.array(_EYES, (12,), (6,)).reshape(2, -1)
     joints = np.zeros((5, 3))
-    joints[2:] = np.stack([axis_angle_of(row) for row in (flame.array(_JAW, (6,), (3,)), *eyes)])
+    joints[2:] = axis_angles_of(flame.array(_JAW, (6,), (3,)), *eyes)
     return {
         "size": np.array([height, width]),
         "intrinsics": intrinsics,
@@ -98,11 +98,11 @@ def image_size(content: ArrayTable) -> tuple[int, int]:
     return int(height), int(width)
 
 
-def axis_angle_of(rotation: np.ndarray) -> np.ndarray:
-    """A rotation of 6 numbers (two rows of its matrix) or of 3 (axis-angle) as axis-angle, rad."""
-    if rotation.size == 3:
-        return rotation
-    return matrix_to_axis_angle(rotation_6d_to_matrix(torch.from_numpy(rotation))).numpy()
+def axis_angles_of(*rotations: np.ndarray) -> np.ndarray:
+    """Rotations of 6 numbers (two rows of their matrix) or of 3 (axis-angle) as rows of axis-angles, rad."""
+    if all(rotation.size == 6 for rotation in rotations):  # one call of torch for all: it is called for every frame
+        return matrix_to_axis_angle(rotation_6d_to_matrix(torch.from_numpy(np.stack(rotations)))).numpy()
+    return np.stack([each if each.size == 3 else axis_angles_of(each)[0] for each in rotations])
 
 
 def _camera(content: ArrayTable, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:

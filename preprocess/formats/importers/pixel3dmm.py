@@ -20,7 +20,7 @@ from ggavatar.io.held_folders import make_folder
 from preprocess.formats.array_table import ArrayTable, Assume
 from preprocess.formats.frame_files import frame_content, frame_files, pickled_files
 from preprocess.formats.frame_set import Frame, read_frames
-from preprocess.formats.importers.metrical_tracker import axis_angle_of, image_size
+from preprocess.formats.importers.metrical_tracker import axis_angles_of, image_size
 from preprocess.formats.json_fields import camera_matrix
 from preprocess.formats.tracking_record import TrackingRecord, without_bad_frames
 
@@ -88,7 +88,7 @@ def _read_frame(path: Path, assume: Assume) -> Frame:
         raise InputError(f"{path}: expected a square crop in 'img_size', found {width}×{height} px; track it again")
     eyes = flame.array(("eyes",), (12,)).reshape(2, 6)
     joints = np.zeros((5, 3))
-    joints[1:] = np.stack([axis_angle_of(row) for row in (*(flame.array((k,), (6,)) for k in ("neck", "jaw")), *eyes)])
+    joints[1:] = axis_angles_of(*(flame.array((k,), (6,)) for k in ("neck", "jaw")), *eyes)
     focal = float(camera.array(("fl",), (1,))[0]) * width
     center = (camera.array(("pp",), (2,)) + 1) * (width / 2 + 0.5)
     return {

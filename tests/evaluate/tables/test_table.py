@@ -180,10 +180,10 @@ def test_every_format_says_what_was_scored() -> None:
     tables = build_tables([run, evaluation("Anna", "b")])
     row = tables[-1].rows[0]
     assert row.label == "Anna · a, seed 7"
-    assert [cell.text for cell in row.cells[:3]] == ["–", "–", "–"]
-    assert row.cells[3].text == "0, 20–22, 40, 60, …, 120, 140, 160, 180"
-    assert row.cells[3].reason == "0, 20–22, 40, 60, 80, 100, 120, 140, 160, 180"
-    assert [cell.reason for cell in row.cells[4:]] == [PROTOCOL.digest, *digests.values()]
+    assert [cell.text for cell in row.cells[:4]] == ["–"] * 4
+    assert row.cells[4].text == "0, 20–22, 40, 60, …, 120, 140, 160, 180"
+    assert row.cells[4].reason == "0, 20–22, 40, 60, 80, 100, 120, 140, 160, 180"
+    assert [cell.reason for cell in row.cells[5:]] == [PROTOCOL.digest, *digests.values()]
     assert ranges((3, 5, 6)) == "3, 5–6"
     for render in (to_markdown, to_latex, to_csv, to_page, to_json):
         text = render(tables).replace("\\_", "_")

@@ -137,7 +137,8 @@ def choose(folder, found, **options):
     found.write(folder / SURVEY)
     numbers, reporter = list(range(100, 100 + len(found.looked))), Notes()
     results = {"frames": {"numbers": numbers, "fps": 25.0}}
-    context = StageContext(PrepOptions(Path("v.mp4"), folder, **options), folder, results, reporter)
+    options_ = PrepOptions(Path("v.mp4"), folder, **options)
+    context = StageContext(options_, folder, results, reporter, lambda: pytest.fail("no tracking is given"))
     return evidence_stage.run(context), reporter.said
 
 

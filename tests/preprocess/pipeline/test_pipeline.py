@@ -99,6 +99,14 @@ def test_unchanged_stages_are_skipped_and_changed_ones_run(clip, tmp_path, capsy
     assert Capture.open(folder).width == 64
 
 
+def test_the_imported_tracking_is_read_once(clip, tmp_path, monkeypatch):
+    """Reading thousands of files takes seconds, and crop and tracking both need them."""
+    reads, read = [], metrical_tracker.read
+    monkeypatch.setattr(metrical_tracker, "read", lambda path: reads.append(path) or read(path))
+    assert run(clip, tmp_path / "c") == 0
+    assert len(reads) == 1
+
+
 def messages(text):
     """The lines of the summary that report a warning or an assumption."""
     return [line for line in text.splitlines() if line.startswith(("warning: ", "note: "))]
