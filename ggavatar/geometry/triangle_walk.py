@@ -122,7 +122,7 @@ def _first_edge(mesh: Neighbors, walker: _Walkers) -> tuple[Float[Tensor, " M"],
 def _across(mesh: Neighbors, face: Tensor, edge: Tensor, weights: Tensor, rest: Tensor) -> _Walkers:
     """The same points and shifts in the triangles across an edge, the two being halves of a parallelogram.
 
-    With corners i (opposite the edge), j, l here and n for the new corner, n = j + l − i; so a shift s_i i + s_j j +
+    The corners are i (opposite the edge), j and l here, and the new corner is n = j + l − i. So a shift s_i i + s_j j +
     s_l l, whose sum is 0, is −s_l j − s_j l − s_i n.
     """
     row = torch.arange(len(face), device=face.device)
