@@ -237,6 +237,7 @@ def _content(options: Options, run: Run | StandaloneGaussians) -> dict[str, Any]
     """Everything that determines the images, as plain values; compared by --resume."""
     skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
+    chosen |= chosen.pop("driving")
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
     chosen["drive_sha256"] = None if options.drive is None else _motion_digest(options.drive)
     subject = run.subject if isinstance(run, StandaloneGaussians) else run.capture.subject

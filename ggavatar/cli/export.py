@@ -235,7 +235,8 @@ def _export_run(arguments: Arguments) -> list[str]:
     run = open_avatar(arguments.source, device, arguments.step, capture=arguments.capture)
     if arguments.kind in (WEB, AVATAR):
         return _export_page(arguments, run) if arguments.kind == WEB else _export_avatar(arguments, run)
-    head, carried_notes = run.head, []
+    head = run.head
+    carried_notes: list[str] = []
     if arguments.drive is not None:
         drives, carried_notes = _carried_drives(arguments, run)
     else:

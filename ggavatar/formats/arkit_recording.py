@@ -1,7 +1,7 @@
 """Recordings of ARKit's 52 blendshape scores: Live Link Face CSV, LAM's or MediaPipe's JSON, npz.
 
-Columns are matched by name. Order is never trusted: lists of 52 names differ between ARKit, Live Link Face and MediaPipe. Times are those of the
-recording, since rows may be missing or repeated.
+Columns are matched by name. Order is never trusted: lists of 52 names differ between ARKit, Live Link Face and
+MediaPipe. Times are those of the recording, since rows may be missing or repeated.
 """
 
 from __future__ import annotations

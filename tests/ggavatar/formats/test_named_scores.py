@@ -68,8 +68,8 @@ def test_frames_without_a_face_are_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["[]", "[1, 2]", "[[]]", '[{"faceBlendshapes": 3}]', '[{"jawOpen": "wide"}]', '[{"categories": [{}]}]', "[", "[NaN]",
-     '[{"faceBlendshapes": [[[[[{"jawOpen": 1}]]]]]}]'],
+    ["[]", "[1, 2]", "[[]]", '[{"faceBlendshapes": 3}]', '[{"jawOpen": "wide"}]', '[{"categories": [{}]}]', "[",
+     "[NaN]", '[{"faceBlendshapes": [[[[[{"jawOpen": 1}]]]]]}]'],
 )  # fmt: skip
 def test_other_lists_are_refused_in_words(text: str, tmp_path: Path) -> None:
     path = tmp_path / "take.json"

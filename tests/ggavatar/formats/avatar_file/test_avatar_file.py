@@ -1,8 +1,7 @@
 """The avatar file: opened like the run, bit by bit; without photographs; refused when anything is wrong with it.
 
-Also covers `formats/avatar_file/container.py`, `formats/avatar_file/export.py`, `formats/avatar_file/reader.py`,
-`formats/avatar_file/tracking.py`, `formats/any_avatar.py`, `formats/avatar_suffix.py` and
-`data/capture_without_images.py`. Reference: the run that a file was exported from.
+Also covers `ggavatar/formats/avatar_file/reader.py`, `ggavatar/formats/avatar_file/tracking.py` and
+`ggavatar/data/capture_without_images.py`. Reference: the run that a file was exported from.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The export of a page: what is in the file, what is refused, and that nothing is written by halves.
 
 Also covers `formats/web/clips.py`, `formats/web/container.py`, `formats/web/controls.py`, `formats/web/description.py`,
-`formats/web/options.py`, `formats/web/tensors.py`, `formats/licensed_heads.py` and `formats/performances.py`.
+`formats/web/options.py`, `formats/web/tensors.py`, `ggavatar/formats/licensed_heads.py` and `formats/performances.py`.
 """
 
 from __future__ import annotations
