@@ -18,10 +18,15 @@ from ggavatar.formats.arkit_recording import (
     is_arkit_recording,
     read_arkit_recording,
 )
+from ggavatar.formats.flame_parameters import FlameParameters, read_flame_parameters
 from ggavatar.head.expression_axes import names_without_file
+from ggavatar.head.flame import JOINT_NAMES
 from ggavatar.io.npz import npz_headers, read_npz
 from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.training.run_folder import Run
+
+FILE_FPS = 25.0
+"""Frame rate of files that do not say theirs, frames per second."""
 
 
 @dataclass(frozen=True)
@@ -162,10 +167,10 @@ def driving_sequence_of_scores(recording: ArkitRecording) -> DrivingSequence:
 
 
 def read_driving_sequence(path: Path) -> DrivingSequence:
-    """Read a driving sequence: a capture folder, an .npz file, or a recording of ARKit's scores (docs/rendering.md).
+    """Read a driving sequence (docs/driving.md): a capture folder, an .npz file, or a recording of ARKit's scores.
 
     Raises:
-        InputError: Neither of the two, or an array is missing, has the wrong shape or is not finite.
+        InputError: None of these, or an array is missing, has the wrong shape or is not finite.
     """
     if path.is_dir():
         return driving_sequence_of(Capture.open(path))
@@ -173,8 +178,11 @@ def read_driving_sequence(path: Path) -> DrivingSequence:
         return driving_sequence_of_scores(read_arkit_recording(path))
     if path.suffix.lower() != ".npz":
         raise InputError(
-            f"{path}: expected a capture folder, an .npz file of head parameters, or a recording of ARKit's scores"
+            f"{path}: expected a capture folder, an .npz file of head parameters, or a recording of ARKit's or "
+            "MediaPipe's scores (CSV, JSON, npz) with names; see docs/driving.md"
         )
+    if "expr" in npz_headers(path):
+        return _driving_sequence_of_flame(read_flame_parameters(path))
     arrays = read_npz(path)
     count = len(_array(path, arrays, "expression", (None, None)))
     names = tuple(str(name) for name in np.atleast_1d(arrays.get("joint_names", np.array([], str))))
@@ -186,8 +194,9 @@ def read_driving_sequence(path: Path) -> DrivingSequence:
         raise InputError(
             f"{path}: expected 'joint_names' with 'joint_rotations', found none; add the names, root first"
         )
+    expression = _array(path, arrays, "expression", (None, None))
     return DrivingSequence(
-        expression=_array(path, arrays, "expression", (None, None)),
+        expression=expression,
         joint_rotations=_array(path, arrays, "joint_rotations", (count, len(names), 3)),
         eyelids=_array(path, arrays, "eyelids", (count, 2)),
         translation=_array(path, arrays, "translation", (count, 3)),
@@ -196,6 +205,23 @@ def read_driving_sequence(path: Path) -> DrivingSequence:
         fps=_frames_per_second(path, arrays),
         joint_names=names,
         head_version=str(arrays["version"]),
+        axis_names=names_without_file(str(arrays["version"]), expression.shape[1]),
+    )
+
+
+def _driving_sequence_of_flame(parameters: FlameParameters) -> DrivingSequence:
+    """GaussianAvatars' or VHAP's flame_param.npz, which does not say which version of FLAME it is for."""
+    count = len(parameters)
+    return DrivingSequence(
+        expression=parameters.expression.astype(np.float64),
+        joint_rotations=parameters.joint_rotations.astype(np.float64),
+        eyelids=np.zeros((count, 2)),
+        translation=parameters.translation.astype(np.float64),
+        cameras=None,
+        frames=tuple(range(count)),
+        fps=FILE_FPS,
+        joint_names=JOINT_NAMES,
+        head_version="flame",
     )
 
 
@@ -212,7 +238,7 @@ def _cameras(path: Path, arrays: dict[str, np.ndarray], count: int) -> Cameras |
 
 
 def _frames_per_second(path: Path, arrays: dict[str, np.ndarray]) -> float:
-    fps = float(_array(path, arrays, "fps", ())) if "fps" in arrays else 25.0
+    fps = float(_array(path, arrays, "fps", ())) if "fps" in arrays else FILE_FPS
     if not 1 <= fps <= 1000:
         raise InputError(f"{path}: expected 1 to 1000 frames per second in 'fps', found {fps:g}")
     return fps

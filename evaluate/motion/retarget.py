@@ -49,6 +49,20 @@ def match_basis(driver: DrivingSequence, target: DrivingSequence, force: bool = 
     return dataclasses.replace(on_head_of(driver, target), expression=expression)
 
 
+def in_version_of(driver: DrivingSequence, target: DrivingSequence) -> DrivingSequence:
+    """The sequence of a file that names a family of heads alone (flame_param.npz) in the version of the target.
+
+    Surplus coefficients that are zero in all frames are dropped, missing ones are zero.
+    """
+    family = basis_family(target.head_version)
+    if driver.head_version != family or driver.head_version == target.head_version:
+        return driver
+    count, own = target.expression.shape[1], driver.expression
+    if not np.any(own[:, count:]):
+        own = np.pad(own[:, :count], ((0, 0), (0, max(0, count - own.shape[1]))))
+    return dataclasses.replace(driver, head_version=target.head_version, expression=own)
+
+
 def on_head_of(driver: DrivingSequence, target: DrivingSequence) -> DrivingSequence:
     """The driver's motion in the target's joints and expression axes; those that it lacks stay at zero."""
     count = len(driver.frames)

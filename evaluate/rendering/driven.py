@@ -10,11 +10,12 @@ import numpy as np
 
 from evaluate.motion.driving_sequence import DrivingSequence, driving_sequence_of_run, read_driving_sequence
 from evaluate.motion.neutral import neutral_row
-from evaluate.motion.retarget import match_basis
+from evaluate.motion.retarget import in_version_of, match_basis
 from evaluate.motion.transfer import TransferOptions, match_performance, transfer_performance
 from ggavatar.data.capture import Capture
 from ggavatar.data.expression_scores import measured_scores
 from ggavatar.errors import InputError
+from ggavatar.formats.driving_options import DrivingOptions
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
 
@@ -47,6 +48,13 @@ class Rest:
     target: int | None = None
 
 
+def perform_as_asked(run: Run, source: Path, options: DrivingOptions, finder: ModelFinder) -> Performance:
+    """`perform` by the flags of a command."""
+    limit = None if options.limit < 0 else options.limit
+    how = TransferOptions(options.transfer, options.pose, options.smooth, limit)
+    return perform(run, source, how, Rest(options.driver_neutral, options.target_neutral), finder, options.force_basis)
+
+
 def perform(
     run: Run, source: Path, how: TransferOptions, rest: Rest, finder: ModelFinder, force: bool = False
 ) -> Performance:
@@ -54,7 +62,7 @@ def perform(
 
     Args:
         run: The avatar.
-        source: Capture folder, npz of head parameters, or recording of ARKit's scores.
+        source: Whatever `read_driving_sequence` reads.
         how: Transfer, smoothing and limits.
         rest: Frames at rest.
         finder: Finds the landmark networks.
@@ -63,7 +71,8 @@ def perform(
     Raises:
         InputError: The source cannot be read, or does not fit the avatar.
     """
-    driver, target = read_driving_sequence(source), driving_sequence_of_run(run)
+    target = driving_sequence_of_run(run)
+    driver = in_version_of(read_driving_sequence(source), target)
     if how.expression == "absolute" and how.pose == "absolute" and driver.cameras is None:
         raise InputError(f"{source}: expected cameras for --pose absolute, found none; use --pose still")
     rows = None if rest.driver is None else driver.row(rest.driver)

@@ -19,10 +19,9 @@ from evaluate.motion.driving_sequence import driving_sequence_of_run
 from evaluate.motion.neutral import neutral_row
 from evaluate.motion.orbit import head_center, orbit_angles, orbit_camera
 from evaluate.motion.retarget import drives_and_cameras
-from evaluate.motion.transfer import TransferOptions
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import GIVEN
-from evaluate.rendering.driven import Rest, perform
+from evaluate.rendering.driven import perform_as_asked
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
 from evaluate.rendering.views import (
     DRIVE_FIGURE,
@@ -43,6 +42,7 @@ from ggavatar.core import Camera, Drive
 from ggavatar.data.background import Color, parse_background
 from ggavatar.data.capture import DESCRIPTION, HEAD, TRACKING, Capture
 from ggavatar.errors import InputError
+from ggavatar.formats.any_avatar import open_avatar
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.io.digests import sha256_of
 from ggavatar.io.held_folders import hold_folder
@@ -50,7 +50,7 @@ from ggavatar.io.images import read_rgb, write_png
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.render.backends import resolve_device
 from ggavatar.text.terminal import write_err
-from ggavatar.training.run_folder import Run, open_run
+from ggavatar.training.run_folder import Run
 from ggavatar.training.same_capture import change_since_training
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _open(options: Options, device: str) -> Run | StandaloneGaussians:
         return open_gaussian_file(options.run, source, GIVEN, device, options.backend)
     refuse_file_flags(options.run, source)
     moved = [] if source.capture is None else [source.capture]
-    run = open_run(options.run, device, options.step, options.backend, *moved)
+    run = open_avatar(options.run, device, options.step, options.backend, *moved)
     if change := change_since_training(run):
         write_err(f"warning: {change}")
     return run
@@ -135,7 +135,7 @@ def _plan(options: Options, run: Run, background: Color) -> RenderPlan:
 
 def _neutral_view(options: Options, run: Run) -> tuple[Drive, Camera, Tensor]:
     """Drive and camera of the neutral frame, and the center of the head, m."""
-    frame = options.target_neutral
+    frame = options.driving.target_neutral
     if frame is None:
         frame = run.capture.frames[neutral_row(driving_sequence_of_run(run))]
     drive, camera = run.reader.drive(frame), run.reader.camera(frame)
@@ -160,9 +160,7 @@ def _orbit(
 
 def _driven(options: Options, run: Run, background: Color) -> RenderPlan:
     source = options.drive or Path()
-    how = TransferOptions(options.transfer, options.pose, options.smooth, None if options.limit < 0 else options.limit)
-    rest = Rest(options.neutral, options.target_neutral)
-    performance = perform(run, source, how, rest, ModelFinder(), options.force_basis)
+    performance = perform_as_asked(run, source, options.driving, ModelFinder())
     driver, moved = performance.driver, performance.moved
     if performance.note:
         write_err(f"note: {performance.note}")
@@ -239,6 +237,7 @@ def _content(options: Options, run: Run | StandaloneGaussians) -> dict[str, Any]
     """Everything that determines the images, as plain values; compared by --resume."""
     skipped = {"run", "output_dir", "resume", "overwrite", "video", "fps", "device", "beside", "source"}
     chosen = {key: value for key, value in dataclasses.asdict(options).items() if key not in skipped}
+    chosen |= chosen.pop("driving")
     chosen["drive"] = None if options.drive is None else str(options.drive.resolve())
     chosen["drive_sha256"] = None if options.drive is None else _motion_digest(options.drive)
     subject = run.subject if isinstance(run, StandaloneGaussians) else run.capture.subject

@@ -10,6 +10,7 @@ import tyro
 
 from ggavatar.data.background import parse_background
 from ggavatar.errors import InputError
+from ggavatar.formats.driving_options import RenderDrivingOptions
 from ggavatar.formats.source_options import GaussianFileOptions, is_gaussian_file
 
 
@@ -18,7 +19,7 @@ class Options:
     """Render a trained avatar: the frames of a split (default), an orbit around the head, or a driving sequence."""
 
     run: tyro.conf.Positional[Path]
-    """Run folder of ggavatar-train, or FILE of Gaussians: PLY, .splat, .spz, SOG (docs/export.md)."""
+    """Run folder of ggavatar-train, avatar file (.ggavatar), or FILE of Gaussians: PLY, .splat, .spz, SOG."""
     source: tyro.conf.OmitArgPrefixes[GaussianFileOptions] = field(default_factory=GaussianFileOptions)
     output_dir: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
     """Output folder; by default RUN/renders/WHAT."""
@@ -27,24 +28,11 @@ class Options:
     orbit: bool = False
     """Render an orbit around the head with a fixed expression instead; also writes novel_views.png."""
     drive: Path | None = None
-    """Drive the avatar with a capture folder or an .npz file instead; also writes reenactment.png."""
-    transfer: Literal["matched", "relative", "absolute"] = "matched"
-    """Show what the driver's face shows, by expression scores and shared axes; or add its changes of coefficients from
-    its neutral frame to the avatar's; or copy its coefficients."""
-    pose: Literal["relative", "absolute", "still"] = "relative"
-    """The same for the head's pose relative to the camera; still keeps that of the avatar's neutral frame."""
-    smooth: Literal["none", "one-euro", "savgol"] = "savgol"
-    """Temporal filter of the driving sequence."""
-    limit: float = 3.0
-    """How far a coefficient may leave the range seen in training, as a fraction of that range; negative: no limit."""
-    neutral: int | None = None
-    """Frame number that shows the driver at rest; by default rest is computed from all frames."""
-    target_neutral: int | None = None
-    """Frame number that shows the avatar's subject at rest, also used for an orbit; computed by default."""
+    """Drive the avatar with another performance instead (docs/driving.md): a capture folder, an .npz of head
+    parameters, or a recording of ARKit's or MediaPipe's scores (CSV, JSON, npz); also writes reenactment.png."""
+    driving: tyro.conf.OmitArgPrefixes[RenderDrivingOptions] = field(default_factory=RenderDrivingOptions)
     beside: tuple[Path, ...] = ()
     """Output folders of --drive for other runs and the same driving sequence: additional rows of reenactment.png."""
-    force_basis: bool = False
-    """Accept a driving sequence with another number of coefficients or another version of the same family of bases."""
     yaw: float = 40.0
     """Largest yaw of the orbit to either side, degrees."""
     pitch: float = 20.0

@@ -1,20 +1,22 @@
-"""Performances carried over to the head of a run, as clips of its web page."""
+"""Performances carried over to the avatar of a run, for the exports of `ggavatar`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from evaluate.motion.retarget import drives_and_cameras
-from evaluate.motion.transfer import TransferOptions
-from evaluate.rendering.driven import Rest, perform
-from ggavatar.core import Camera, Drive
+from evaluate.rendering.driven import perform_as_asked
+from ggavatar.formats.driving_options import DrivingOptions
+from ggavatar.formats.performances import CarriedOver
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
 
 
-def transferred_performance(run: Run, source: Path) -> tuple[float, Sequence[int], Sequence[Drive], Sequence[Camera]]:
-    """Frame rate, frame numbers, drives and cameras of a performance, by the defaults of ggavatar-render --drive."""
-    moved = perform(run, source, TransferOptions(), Rest(), ModelFinder()).moved
-    frames, drives, cameras = zip(*drives_and_cameras(moved, run.head), strict=True)
-    return moved.fps, frames, drives, cameras
+def transferred_performance(run: Run, source: Path, options: DrivingOptions) -> CarriedOver:
+    """What ggavatar-render --drive would render, with the cameras at the size of the run's capture."""
+    performance = perform_as_asked(run, source, options, ModelFinder())
+    frames, drives, cameras = zip(*drives_and_cameras(performance.moved, run.head), strict=True)
+    size = (run.capture.width, run.capture.height)
+    return CarriedOver(
+        performance.moved.fps, frames, drives, tuple(camera.resized(*size) for camera in cameras), performance.note
+    )

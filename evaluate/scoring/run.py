@@ -13,6 +13,8 @@ from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flag
 from evaluate.scoring.predict import predict_frames, prediction_task
 from evaluate.scoring.run_setup import setup_of_run
 from evaluate.scoring.scored_frames import at_capture_resolution
+from ggavatar.errors import InputError
+from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.render.backends import resolve_device
@@ -57,6 +59,11 @@ def _open(folder: Path, options: Options, device: str) -> Run:
         split = options.split_rule or options.base_protocol(DEFAULT_SPLIT).split
         return open_gaussian_file(folder, options.source, split, device)
     refuse_file_flags(folder, options.source)
+    if is_avatar_file(folder):
+        raise InputError(
+            f"{folder}: expected a run, found an avatar file, which holds no photographs to compare with; evaluate the "
+            f"run, or: ggavatar-render {folder} -o OUT, then ggavatar-eval --pred OUT/frames --capture CAPTURE"
+        )
     read_config(folder)
     moved = options.source.capture
     return open_run(folder, device) if moved is None else open_run(folder, device, capture=moved)

@@ -15,7 +15,9 @@ from tyro.conf import Positional, arg
 from ggavatar.cli.run import run_command
 from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError, nearest
+from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
+from ggavatar.formats.driving_options import DrivingOptions
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 from ggavatar.formats.splats.file_kinds import SUFFIXES
 from ggavatar.formats.web.options import WebOptions
@@ -23,12 +25,14 @@ from ggavatar.io.held_folders import hold_folder
 from ggavatar.text.terminal import write_out
 
 if TYPE_CHECKING:
+    from ggavatar.formats.drives import NamedDrive
     from ggavatar.training.run_folder import Run
 
 SUBMISSION = "nersemble-submission"
 SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
 WEB, PAGE_SUFFIXES = "web", (".html", ".htm")
-RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars", WEB)
+AVATAR, AVATAR_SUFFIX = "avatar", ".ggavatar"
+RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars", WEB, AVATAR)
 _NEXT_STEPS = {
     "vhap": "in GaussianAvatars: python train.py -s {path} --bind_to_mesh --white_background",
     "flash-avatar": "make parsing/%05d_neckhead.png and _mouth.png for FlashAvatar, then train it on {path}",
@@ -40,12 +44,12 @@ class Arguments:
     """Write a trained avatar or a file of Gaussians for other programs, or a capture for other trainers."""
 
     source: Positional[Path]
-    """Run folder of ggavatar-train, FILE of Gaussians (PLY, .splat, .spz, SOG), capture folder of ggavatar-prep, or
-    (nersemble-submission) folder of renderings."""
+    """Run folder of ggavatar-train, avatar file (.ggavatar), FILE of Gaussians (PLY, .splat, .spz, SOG), capture folder
+    of ggavatar-prep, or (nersemble-submission) folder of renderings."""
     format: str | None = None
-    """Of a run: web (a page that shows and drives it), ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to
-    the mesh); of FILE: ply, splat, spz or glb; of a capture: see above. By default that of the suffix of --output, else
-    ply."""
+    """Of a run or avatar file: web (a page that shows and drives it), avatar (one file that the commands open like the
+    run), ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz or glb;
+    of a capture: see above. By default that of the suffix of --output, else ply."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
     """File or folder to write; RUN/exports/…, FILE.FORMAT or CAPTURE-FORMAT if not given."""
     neutral: bool = False
@@ -53,8 +57,8 @@ class Arguments:
     frame: tuple[int, ...] = ()
     """Export these source frames of the run's capture, one file each."""
     drive: Path | None = None
-    """Export every row of an .npz of head parameters (as for ggavatar-render --drive, or a flame_param.npz); web: a
-    performance to play, a capture folder or such a file, carried over as ggavatar-render --drive does."""
+    """A performance, carried over as ggavatar-render --drive does (docs/driving.md): web plays it, splats have a file a
+    frame."""
     capture: Annotated[Path | None, arg(metavar="DIR")] = None
     """Where the capture of a run is now, if it was moved away from the run."""
     step: int | None = None
@@ -64,14 +68,15 @@ class Arguments:
     overwrite: bool = False
     """Replace an earlier export."""
     reading: tyro.conf.OmitArgPrefixes[GaussianReadingOptions] = field(default_factory=GaussianReadingOptions)
+    driving: tyro.conf.OmitArgPrefixes[DrivingOptions] = field(default_factory=DrivingOptions)
     web: tyro.conf.OmitArgPrefixes[WebOptions] = field(default_factory=WebOptions)
 
     @property
     def kind(self) -> str:
         """The format to write."""
         suffix = self.output.suffix.lower() if self.output is not None else ""
-        named = WEB if suffix in PAGE_SUFFIXES else SUFFIXES.get(suffix, "ply")
-        return self.format or (named if named in (*SPLAT_FORMATS, WEB) else "ply")
+        named = {**SUFFIXES, **dict.fromkeys(PAGE_SUFFIXES, WEB), AVATAR_SUFFIX: AVATAR}.get(suffix, "ply")
+        return self.format or (named if named in (*SPLAT_FORMATS, WEB, AVATAR) else "ply")
 
     @property
     def poses(self) -> int:
@@ -108,8 +113,9 @@ def _export(arguments: Arguments) -> int:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
     _check_suffix(arguments)
-    if arguments.web != WebOptions() and kind != WEB:
-        raise InputError(f"--format {kind}: options of web pages belong to --format {WEB}; leave them out")
+    _check_web_options(arguments)
+    if arguments.driving != DrivingOptions() and arguments.drive is None:
+        raise InputError("--transfer, --pose, --smooth, --limit and the like belong to --drive; leave them out")
     exporter = _exporter(arguments)
     if arguments.capture is not None and exporter is not _export_run:
         raise InputError(f"{arguments.source}: --capture belongs to a run, found another source; leave it out")
@@ -117,6 +123,14 @@ def _export(arguments: Arguments) -> int:
         lines = exporter(arguments)
     write_out(*lines)
     return 0
+
+
+def _check_web_options(arguments: Arguments) -> None:
+    """Refuse options of pages for what is no page; an avatar file may contain the head model too."""
+    kind, web = arguments.kind, arguments.web
+    shared = WebOptions(include_head_model=web.include_head_model) if kind == AVATAR else WebOptions()
+    if web != shared and kind != WEB:
+        raise InputError(f"--format {kind}: options of web pages belong to --format {WEB}; leave them out")
 
 
 def _exporter(arguments: Arguments) -> Callable[[Arguments], list[str]]:
@@ -131,6 +145,8 @@ def _exporter(arguments: Arguments) -> Callable[[Arguments], list[str]]:
 def _check_suffix(arguments: Arguments) -> None:
     """Refuse a name of --output that says another format than the one written; several poses go into a folder."""
     kind, output = arguments.kind, arguments.output
+    if kind == AVATAR and output is not None and output.suffix.lower() != AVATAR_SUFFIX:
+        raise InputError(f"-o {output}: expected a file name that ends with {AVATAR_SUFFIX} for --format {AVATAR}")
     if kind == WEB and output is not None and output.suffix.lower() not in PAGE_SUFFIXES:
         raise InputError(f"-o {output}: expected a file name that ends with .html for --format {WEB}")
     if kind not in SPLAT_FORMATS or output is None or not output.suffix or len(arguments.frame) > 1:
@@ -200,56 +216,94 @@ def _export_capture(arguments: Arguments) -> list[str]:
 def _export_run(arguments: Arguments) -> list[str]:
     if arguments.poses > 1:
         raise InputError("expected one of --neutral, --frame and --drive, found several; run the command once for each")
-    if not (arguments.source / "config.json").is_file():
+    if not (arguments.source / "config.json").is_file() and not is_avatar_file(arguments.source):
         raise InputError(
-            f"{arguments.source}: expected a run folder for --format {arguments.kind}, found no config.json in it"
+            f"{arguments.source}: expected a run folder or an avatar file for --format {arguments.kind}, found no "
+            "config.json in it"
         )
     if arguments.reading.are_given:
         raise InputError(
             f"{arguments.source}: --axes, --scales and --opacities belong to a file of Gaussians; omit them"
         )
-    from ggavatar.formats.drives import file_drives, frame_drives, neutral_drive
+    from ggavatar.formats.any_avatar import open_avatar
+    from ggavatar.formats.drives import frame_drives, neutral_drive
     from ggavatar.formats.export import BOUND_FORMAT, POINT_CLOUD_FILE, export_bound, export_splats
     from ggavatar.render.backends import resolve_device
-    from ggavatar.training.run_folder import open_run
     from ggavatar.training.same_capture import change_since_training
 
     device = resolve_device(arguments.device)
-    run = open_run(arguments.source, device, arguments.step, capture=arguments.capture)
-    if arguments.kind == WEB:
-        return _export_page(arguments, run)
+    run = open_avatar(arguments.source, device, arguments.step, capture=arguments.capture)
+    if arguments.kind in (WEB, AVATAR):
+        return _export_page(arguments, run) if arguments.kind == WEB else _export_avatar(arguments, run)
     head = run.head
+    carried_notes: list[str] = []
     if arguments.drive is not None:
-        drives = file_drives(arguments.drive, run, head)
+        drives, carried_notes = _carried_drives(arguments, run)
     else:
         drives = frame_drives(run, arguments.frame) if arguments.frame else [neutral_drive(run, head)]
-    path = arguments.output or _default_path(arguments, [drive.name for drive in drives])
+    path = arguments.output or _default_path(arguments, run, [drive.name for drive in drives])
     if arguments.kind == BOUND_FORMAT:
         if len(drives) > 1:
             raise InputError(f"{BOUND_FORMAT} stores one binding that follows the mesh; pass one --frame or --neutral")
         result = export_bound(run, head, drives[0].drive, path, arguments.overwrite)
-        following = f"ggavatar-render {path / POINT_CLOUD_FILE} --capture {run.capture.folder}"
+        capture = run.capture.folder if run.capture.folder.is_dir() else "CAPTURE, which the avatar was trained on"
+        following = f"ggavatar-render {path / POINT_CLOUD_FILE} --capture {capture}"
     else:
         result = export_splats(run, drives, arguments.kind, path, arguments.overwrite)
         following = _next_step_for_splats(path, arguments.kind, len(drives))
     changed = [change] if (change := change_since_training(run)) else []
-    notes = [f"note: {note}" for note in (*changed, *result.notes, *_renderer_notes(run.method))]
+    notes = [f"note: {note}" for note in (*changed, *carried_notes, *result.notes, *_renderer_notes(run.method))]
     return [f"wrote {result.path} ({_size_text(len(drives), result.gaussians)})", *notes, f"next: {following}"]
+
+
+def _carried_drives(arguments: Arguments, run: Run) -> tuple[list[NamedDrive], list[str]]:
+    """The drives of a performance, one for each file, and notes on them."""
+    from ggavatar.formats.drives import NamedDrive
+    from ggavatar.formats.performances import carried_over
+
+    assert arguments.drive is not None
+    found = carried_over(run, arguments.drive, arguments.driving)
+    drives = [NamedDrive(f"{number:06d}", drive) for number, drive in zip(found.frames, found.drives, strict=True)]
+    smaller = (
+        f"a file a frame is large; --format {WEB} plays the performance in one page, and an avatar file (--format "
+        f"{AVATAR}) performs it with ggavatar-render FILE --drive {arguments.drive}"
+    )
+    return drives, [*([found.note] if found.note else []), *([smaller] if len(drives) > 1 else [])]
+
+
+def _export_avatar(arguments: Arguments, run: Run) -> list[str]:
+    """Write a run as one file."""
+    from ggavatar.formats.avatar_file.export import export_avatar_file
+
+    if arguments.poses:
+        raise InputError(
+            f"--format {AVATAR} holds the avatar for every pose; leave out --frame, --neutral and --drive, and drive "
+            "the file with ggavatar-render FILE --drive"
+        )
+    path = arguments.output or run.folder / "exports" / f"avatar{AVATAR_SUFFIX}"
+    written = export_avatar_file(run, path, arguments.overwrite, arguments.web.include_head_model)
+    notes = [f"note: {note}" for note in written.notes]
+    return [f"wrote {path} ({written.bytes / 1e6:.2f} MB)", *notes, f"next: ggavatar-render {path} --orbit"]
 
 
 def _export_page(arguments: Arguments, run: Run) -> list[str]:
     """Write the page of a run."""
+    from ggavatar.formats.performances import carried_over
+    from ggavatar.formats.web.clips import Clip
     from ggavatar.formats.web.export import export_web
-    from ggavatar.formats.web.performances import performance_clip
 
     if arguments.frame or arguments.neutral:
         raise InputError(f"--format {WEB} shows all poses; leave out --frame and --neutral")
-    clips = [] if arguments.drive is None else [performance_clip(run, arguments.drive)]
-    path = arguments.output or arguments.source / "exports" / "avatar.html"
+    clips, carried_notes = [], []
+    if arguments.drive is not None:
+        found = carried_over(run, arguments.drive, arguments.driving)
+        clips = [Clip(arguments.drive.name, found.fps, found.frames, found.drives, found.cameras)]
+        carried_notes = [found.note] if found.note else []
+    path = arguments.output or run.folder / "exports" / "avatar.html"
     written = export_web(run, arguments.web, path, arguments.overwrite, clips)
     against = "" if written.psnr is None else f", {written.psnr:.1f} dB against the run"
     size = f"{written.bytes / 1e6:.2f} MB, {written.gaussians} of {written.before} Gaussians{against}"
-    notes = [f"note: {note}" for note in written.notes]
+    notes = [f"note: {note}" for note in (*carried_notes, *written.notes)]
     return [f"wrote {written.path} ({size})", *notes, "next: open it in a browser; it needs no network and no server"]
 
 
@@ -262,9 +316,9 @@ def _renderer_notes(method: str) -> list[str]:
     return [f"{method} has a renderer of its own; it looks different in viewers of Gaussians"]
 
 
-def _default_path(arguments: Arguments, names: Sequence[str]) -> Path:
+def _default_path(arguments: Arguments, run: Run, names: Sequence[str]) -> Path:
     """The path of an export among the results of its run."""
-    home = arguments.source / "exports"
+    home = run.folder / "exports"
     if arguments.kind == "gaussian-avatars":
         return home / arguments.kind
     if len(names) > 1:

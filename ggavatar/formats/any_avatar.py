@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.formats.avatar_file.container import is_avatar_file
 from ggavatar.formats.avatar_file.reader import open_avatar_file
+from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.training.run_folder import Run, open_run
 
 

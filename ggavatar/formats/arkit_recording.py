@@ -1,7 +1,7 @@
-"""Recordings of ARKit's 52 blendshape scores: Live Link Face CSV, LAM's JSON, npz; columns are matched by name.
+"""Recordings of ARKit's 52 blendshape scores: Live Link Face CSV, LAM's or MediaPipe's JSON, npz.
 
-Order is never trusted: lists of 52 names differ between ARKit, Live Link Face and MediaPipe. Times are those of the
-recording, since rows may be missing or repeated.
+Columns are matched by name. Order is never trusted: lists of 52 names differ between ARKit, Live Link Face and
+MediaPipe. Times are those of the recording, since rows may be missing or repeated.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ggavatar.errors import InputError
-from ggavatar.io.json_files import read_json
+from ggavatar.formats.named_scores import scores_by_name
+from ggavatar.io.json_files import MAX_JSON_BYTES, parse_value, read_json
 from ggavatar.io.npz import read_npz
-from ggavatar.io.regular_files import open_regular, regular_size
+from ggavatar.io.regular_files import open_regular, read_file, regular_size
 
 _SIDED = """
 eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp eyeSquint eyeWide mouthSmile mouthFrown mouthDimple mouthStretch
@@ -260,11 +261,15 @@ def _timecodes(path: Path, texts: Sequence[str]) -> tuple[np.ndarray, tuple[str,
 
 
 def _json_table(path: Path) -> _Table:
-    """LAM's JSON: names, and frames with weights and a time."""
-    data = read_json(path)
+    """LAM's JSON: names, and frames with weights and a time; or MediaPipe's results, which name their scores."""
+    data = _json_object(path)
     frames, metadata = data.get("frames"), data.get("metadata")
     named = metadata if isinstance(metadata, Mapping) else {}
     names = data.get("names", named.get("blendshape_names"))
+    if names is None and isinstance(frames, list) and 1 <= len(frames) <= MAX_ROWS:
+        found = scores_by_name(frames)
+        if found is not None:
+            return _named_table(*found)
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or len(names) > 1000:
         raise InputError(
             f"{path}: expected the names of the scores under 'names': lists of 52 differ in their order; add them"
@@ -281,6 +286,24 @@ def _json_table(path: Path) -> _Table:
     good = isinstance(fps, int | float) and not isinstance(fps, bool) and 1 <= fps <= 1000
     rate = float(fps) if good and isinstance(fps, int | float) else DEFAULT_FPS
     return _Table(tuple(names), values, np.arange(len(frames)) / rate, () if good else (_rate_note(),))
+
+
+def _json_object(path: Path) -> dict[str, Any]:
+    """The object of a file; a list at the top is one of frames."""
+    text = read_file(path, MAX_JSON_BYTES, "a JSON file")
+    if not text.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"["):
+        return read_json(path)
+    try:
+        return {"frames": parse_value(text)}
+    except ValueError as error:
+        raise InputError(f"{path}: not valid JSON ({str(error)[:200]}); create or copy the file again") from error
+
+
+def _named_table(names: tuple[str, ...], values: np.ndarray, times: np.ndarray) -> _Table:
+    """Frames that name their scores (MediaPipe); those without a face are left out."""
+    if np.isfinite(times).any():
+        return _Table(names, values, times)
+    return _Table(names, values, np.arange(len(values)) / DEFAULT_FPS, (_rate_note(),))
 
 
 def _weights(frame: Any, count: int) -> np.ndarray:

@@ -21,18 +21,18 @@ from safetensors import torch as safetensors
 from torch import Tensor
 
 from ggavatar.errors import InputError
+from ggavatar.formats.avatar_suffix import DESCRIPTION, EXPECTED
 from ggavatar.io.atomic import write_atomically
 from ggavatar.io.json_files import SEAL, digest_of, parse_json, sealed
-from ggavatar.io.regular_files import read_start, regular_size
+from ggavatar.io.regular_files import regular_size
 from ggavatar.io.zip_files import open_zip, read_zipped
 
-SCHEMA, VERSION, SUFFIX = "ggavatar-avatar", 1, ".ggavatar"
-DESCRIPTION, TENSORS = "avatar.json", ("head", "avatar", "tracking")
-"""Members of the archive: the description, and one safetensors file for each of the groups."""
+SCHEMA, VERSION = "ggavatar-avatar", 1
+TENSORS = ("head", "avatar", "tracking")
+"""Groups of tensors: one safetensors file each, beside the description."""
 MAX_DESCRIPTION_BYTES = 1 << 24
 MAX_UNPACKED_BYTES = 1 << 29
 """Most that the members may unpack to (512 MiB)."""
-_EXPECTED = "an avatar file"
 _REMEDY = "copy the file again, or export the avatar again with ggavatar-export RUN --format avatar"
 _DTYPES = (torch.float32, torch.float64, torch.int64, torch.bool)
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -48,21 +48,6 @@ class Container(NamedTuple):
 
     description: dict[str, Any]
     groups: dict[str, dict[str, Tensor]]
-
-
-def is_avatar_file(path: Path) -> bool:
-    """Whether a path names an avatar file: an archive with its description, or any file with its suffix."""
-    if not path.is_file():
-        return path.suffix.lower() == SUFFIX and not path.is_dir()
-    if path.suffix.lower() == SUFFIX:
-        return True
-    if not read_start(path, 4).startswith(b"PK"):
-        return False
-    try:
-        with open_zip(path, _EXPECTED) as archive:
-            return DESCRIPTION in archive.namelist()
-    except InputError:
-        return False
 
 
 def write_container(path: Path, content: Container) -> int:
@@ -101,9 +86,9 @@ def read_container(path: Path) -> Container:
     Raises:
         InputError: No such file, another kind of file, of another version, too large, or changed in any bit.
     """
-    regular_size(path, _EXPECTED, MAX_UNPACKED_BYTES)
+    regular_size(path, EXPECTED, MAX_UNPACKED_BYTES)
     wanted = [DESCRIPTION, *(f"{name}.safetensors" for name in TENSORS)]
-    with open_zip(path, _EXPECTED) as archive:
+    with open_zip(path, EXPECTED) as archive:
         found = archive.namelist()
         if sorted(found) != sorted(wanted):
             raise InputError(

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from ggavatar.errors import InputError
-from ggavatar.formats.avatar_file.container import SUFFIX, read_container
+from ggavatar.formats.avatar_file.container import read_container
 from ggavatar.formats.avatar_file.tracking import stored_capture
+from ggavatar.formats.avatar_suffix import results_beside
 from ggavatar.head.files import head_from_arrays
 from ggavatar.head.model import HeadModel
 from ggavatar.io.dataclass_json import from_plain
@@ -50,7 +51,7 @@ def open_avatar_file(path: Path, device: str = "cpu", backend: str = "auto") -> 
     made_by = described.get("created_by")
     provenance = {"avatar_file": path.name, "created_by": made_by if isinstance(made_by, dict) else {}}
     try:
-        run = assembled_run(results_folder(path), stored, device, backend, provenance, sha256_of(path))
+        run = assembled_run(results_beside(path), stored, device, backend, provenance, sha256_of(path))
         _check_faces(path, run)
         with torch.no_grad():
             _check_finite(run)
@@ -60,11 +61,6 @@ def open_avatar_file(path: Path, device: str = "cpu", backend: str = "auto") -> 
         words = str(error).split("\n")[0][:160] or type(error).__name__
         raise InputError(f"{path}: expected parts that fit together, found others ({words}); {_REMEDY}") from error
     return run
-
-
-def results_folder(path: Path) -> Path:
-    """Folder for what is rendered and exported from an avatar file: beside it, with its name."""
-    return path.with_suffix("") if path.suffix.lower() == SUFFIX else path.with_name(f"{path.name}-results")
 
 
 def _head(path: Path, names: Any, tensors: Mapping[str, Tensor]) -> HeadModel:

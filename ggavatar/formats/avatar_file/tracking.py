@@ -102,11 +102,12 @@ def stored_capture(
 
 
 def _numbers(path: Path, clip: Mapping[str, Any], name: str) -> tuple[int, ...]:
-    value: Any = clip.get(name)
-    whole = isinstance(value, list) and all(type(number) is int and 0 <= number < 1 << 31 for number in value)
-    if not whole or len(value) > MAX_FRAMES or sorted(set(value)) != value:
+    value = clip.get(name)
+    numbers = value if isinstance(value, list) and len(value) <= MAX_FRAMES else [None]
+    whole = all(type(number) is int and 0 <= number < 1 << 31 for number in numbers)
+    if not whole or sorted(set(numbers)) != numbers:
         raise InputError(f"{path}: expected {name!r} to list ascending frame numbers; export the avatar again")
-    return tuple(value)
+    return tuple(numbers)
 
 
 def _whole(path: Path, clip: Mapping[str, Any], name: str) -> int:

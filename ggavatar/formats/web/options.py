@@ -29,7 +29,7 @@ class WebOptions:
     """Web: origin of pages that may drive the avatar by messages, such as https://example.org; "null" for pages opened
     from the disk."""
     include_head_model: bool = False
-    """Web: pass on a licensed head model with the page; only where its license allows that."""
+    """Web and avatar: pass on a licensed head model with the file; only where its license allows that."""
 
 
 def check_web_options(options: WebOptions) -> None:

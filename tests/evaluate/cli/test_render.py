@@ -30,7 +30,7 @@ from tests.support.toy_run import COUNT, HEIGHT, WIDTH, toy_run, write_capture
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     made = toy_run(tmp_path)
-    monkeypatch.setattr(evaluate.rendering.jobs, "open_run", lambda *_: made)
+    monkeypatch.setattr(evaluate.rendering.jobs, "open_avatar", lambda *_: made)
     return made
 
 
@@ -158,7 +158,7 @@ def test_resuming_notices_what_has_changed(
     if change == "tracking":
         write_capture(tmp_path / "other", seed=5)
         (run.capture.folder / "tracking.npz").write_bytes((tmp_path / "other" / "tracking.npz").read_bytes())
-    monkeypatch.setattr(jobs, "open_run", lambda *_: changed)
+    monkeypatch.setattr(jobs, "open_avatar", lambda *_: changed)
     assert render(monkeypatch, run, "--no-video", "-o", out, "--resume") == 2
     assert "changed since" in capsys.readouterr().err
 
@@ -168,7 +168,7 @@ def test_a_capture_that_changed_since_the_training_is_said(
 ) -> None:
     for digest, said in ((run.capture.digest(), False), ("00", True)):
         trained = dataclasses.replace(run, provenance={"capture_sha256": digest})
-        monkeypatch.setattr(jobs, "open_run", lambda *_, trained=trained: trained)
+        monkeypatch.setattr(jobs, "open_avatar", lambda *_, trained=trained: trained)
         assert render(monkeypatch, run, "--no-video", "--overwrite") == 0
         assert ("has changed since" in capsys.readouterr().err) == said
 

@@ -246,7 +246,7 @@ def test_a_performance_learns_from_training_frames(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(performance.ModelFinder, "find", lambda self, name: seen.append(name) or tmp_path)
     monkeypatch.setattr(performance, "LandmarkTracker", lambda path: Tracker())
     monkeypatch.setattr(performance, "pictures_of", lambda source: lambda: iter([BLANK]))
-    monkeypatch.setattr(performance, "with_scores", lambda rows, capture, finder: seen.append(rows.frames) or rows)
+    monkeypatch.setattr(performance, "measured_scores", lambda capture, frames, finder: seen.append(frames))
     scene = RunScene(toy_run(tmp_path))
     made = performance.performer_of("0", FakeServer(), scene)
     with pytest.raises(InputError, match="measured"):

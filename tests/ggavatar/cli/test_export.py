@@ -113,6 +113,36 @@ def test_rows_of_parameters_are_baked(run_folder: Path, toy_capture: Capture, tm
     assert run.step == 4
 
 
+def test_an_avatar_file_is_exported_and_exported_from(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Gaussians of the file are those of the run, byte by byte."""
+    file = tmp_path / "me.ggavatar"
+    assert export(run_folder, "-o", file) == 0
+    shown = capsys.readouterr().out
+    assert f"wrote {file}" in shown and "likeness of a person" in shown and f"next: ggavatar-render {file}" in shown
+    number = open_run(run_folder).split.test[0]
+    for source, name in ((run_folder, "a.ply"), (file, "b.ply")):
+        assert export(source, "--frame", number, "-o", tmp_path / name) == 0
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert export(file) == 0 and (tmp_path / "me" / "exports" / "neutral.ply").is_file()
+    capsys.readouterr()
+    bound = tmp_path / "bound"
+    assert export(file, "--format", "gaussian-avatars", "-o", bound) == 0
+    assert "--capture CAPTURE" in capsys.readouterr().out
+    for arguments, words in (
+        ((run_folder, "--format", "avatar", "-o", tmp_path / "a.zip"), "ends with .ggavatar"),
+        ((run_folder, "-o", file), "--overwrite"),
+        ((run_folder, "-o", tmp_path / "b.ggavatar", "--neutral"), "for every pose"),
+        ((run_folder, "-o", tmp_path / "b.ggavatar", "--rank", "8"), "options of web pages"),
+        ((file, "--step", "3"), "one step"),
+        ((file, "--pose", "still"), "belong to --drive"),
+        ((file, "--format", "vhap"), "expected a capture folder"),
+    ):
+        assert export(*arguments) == 2, arguments
+        assert words in capsys.readouterr().err
+
+
 def test_existing_files_are_replaced_only_on_request(
     run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,7 +1,7 @@
 """The export of a page: what is in the file, what is refused, and that nothing is written by halves.
 
 Also covers `formats/web/clips.py`, `formats/web/container.py`, `formats/web/controls.py`, `formats/web/description.py`,
-`formats/web/options.py`, `formats/web/tensors.py` and `formats/web/performances.py`.
+`formats/web/options.py`, `formats/web/tensors.py`, `ggavatar/formats/licensed_heads.py` and `formats/performances.py`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from evaluate.rendering.performances import transferred_performance
 from ggavatar.core import Drive
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
+from ggavatar.formats import performances
+from ggavatar.formats.driving_options import DrivingOptions
+from ggavatar.formats.performances import carried_over
 from ggavatar.formats.web import export as exporting
-from ggavatar.formats.web import performances
 from ggavatar.formats.web.clips import Clip, capture_clip, clip_arrays, clip_rate
 from ggavatar.formats.web.container import pack
 from ggavatar.formats.web.controls import limits, sliders, view_range
 from ggavatar.formats.web.export import export_web
 from ggavatar.formats.web.options import WebOptions, check_web_options
-from ggavatar.formats.web.performances import performance_clip
 from ggavatar.formats.web.tensors import avatar_tensors, chosen_rows, rounded
 from ggavatar.gaussians.bound_parts import posed
 from ggavatar.geometry.transforms import axis_angle_to_matrix, rigid
@@ -174,7 +175,7 @@ def test_what_cannot_be_shown_is_refused(run: Run, toy_capture: Capture, tmp_pat
     licensed = dataclasses.replace(run, avatar=SimpleNamespace(bound_parts=lambda: flame))
     with pytest.raises(InputError, match=r"license.*--include-head-model"):
         export_web(licensed, WebOptions(), path, overwrite=False)
-    exporting.check_license(licensed, flame.head, WebOptions(include_head_model=True))
+    exporting.check_license(licensed.folder, flame.head, "page", True)
     path.write_text("mine")
     with pytest.raises(InputError, match="--overwrite"):
         export_web(run, WebOptions(), path, overwrite=False)
@@ -262,15 +263,15 @@ def test_the_view_is_limited_to_turns_in_training() -> None:
 def test_another_performance_becomes_a_clip(run: Run, toy_capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     point = SimpleNamespace(name="transfer", load=lambda: transferred_performance)
     monkeypatch.setattr(performances, "entry_points", lambda group: [point])
-    clip = performance_clip(run, toy_capture.folder)
-    assert clip.name == toy_capture.folder.name and clip.frames == toy_capture.frames and clip.fps == toy_capture.fps
+    clip = carried_over(run, toy_capture.folder, DrivingOptions())
+    assert clip.frames == toy_capture.frames and clip.fps == toy_capture.fps
     assert {(camera.width, camera.height) for camera in clip.cameras} == {(toy_capture.width, toy_capture.height)}
     own = torch.stack([run.reader.drive(number).expression for number in toy_capture.frames])
     moved = torch.stack([drive.expression for drive in clip.drives])
     assert np.corrcoef(moved.numpy().ravel(), own.numpy().ravel())[0, 1] > 0.5, "its own performance, carried over"
     monkeypatch.setattr(performances, "entry_points", lambda group: [])
     with pytest.raises(InputError, match="pip install"):
-        performance_clip(run, toy_capture.folder)
+        carried_over(run, toy_capture.folder, DrivingOptions())
 
 
 def test_the_transfer_is_registered() -> None:
