@@ -26,14 +26,9 @@ def run(clip, folder, *more):
 
 
 @pytest.fixture
-def long_enough(monkeypatch):
-    """The clip's 24 frames are enough."""
+def quick(monkeypatch):
+    """A refinement of 24 frames that shifts the head by 2 mm, and the clips it was called with."""
     monkeypatch.setattr(refine_stage, "LEAST_FRAMES", 24)
-
-
-@pytest.fixture
-def quick(long_enough, monkeypatch):
-    """A refinement that shifts the head by 2 mm, and the clips it was called with."""
     calls = []
 
     def shifted(head, tracking, pictures, fps, advance):
@@ -137,8 +132,9 @@ def test_an_interrupted_refinement_is_resumed(clip, tmp_path, capsys, quick, mon
     assert Capture.open(folder).digest() == Capture.open(whole).digest()
 
 
-def test_a_clip_is_refined_for_real(clip, tmp_path, long_enough):
+def test_a_clip_is_refined_for_real(clip, tmp_path, monkeypatch):
     """The tracking is exact, so that it hardly moves; everything is finite and the capture opens."""
+    monkeypatch.setattr(refine_stage, "LEAST_FRAMES", 24)  # as many as the clip has
     assert run(clip, tmp_path / "c", "--quiet") == 0
     capture = Capture.open(tmp_path / "c")
     said = json.loads((tmp_path / "c" / "capture.json").read_text())["source"]["refinement"]
