@@ -91,7 +91,6 @@ ALLOWED_TO_OPEN = {
     ("preprocess/video/decoding.py", "av.open"): "an opened file, and containers that name no other files",
     ("evaluate/viewer/moving_pictures.py", "av.open"): "an opened file, and containers that name no other files",
     ("evaluate/viewer/moving_pictures.py", "cv2.VideoCapture"): "a camera by its number",
-    ("evaluate/figures/report.py", "(files('evaluate.figures') / TEMPLATE).read_text"): "a file of the package",
     ("evaluate/metrics/faces.py", "cv2.FaceRecognizerSF.create"): "a file whose SHA-256 is known",
 }
 
