@@ -212,7 +212,10 @@ def test_our_evaluate_is_the_one_imported() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [f"ggavatar-{name}" for name in ("demo", "prep", "doctor", "train", "sweep", "export", "models", "render", "eval")],
+    [
+        f"ggavatar-{name}"
+        for name in ("demo", "prep", "doctor", "train", "sweep", "export", "models", "render", "view", "eval")
+    ],
 )
 def test_commands_help_and_refuse_unknown_flags(command: str) -> None:
     entry = {point.name: point for point in importlib.metadata.entry_points(group="console_scripts")}[command]

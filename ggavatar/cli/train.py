@@ -108,7 +108,7 @@ def _train(arguments: Arguments) -> int:
 def options_of(arguments: Arguments) -> dict[str, Any]:
     """The options that the user has given, by name: every field but those that say where and how loudly."""
     given = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(arguments)}
-    given["set"] = list(arguments.set)
+    given["set"], given["view"] = list(arguments.set), arguments.view or None
     elsewhere = ("capture", "output", "models", "offline", "quiet")
     return {name: value for name, value in given.items() if name not in elsewhere and value is not None}
 

@@ -6,9 +6,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-RIGID = 6
-"""Numbers of a rigid step: turn about the thing's own axes (rad), then shift along the camera's axes (m)."""
-
 
 def stepped(
     poses: Float[np.ndarray, "T 4 4"], pivots: Float[np.ndarray, "T 3"], steps: Float[np.ndarray, "T 6"]

@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[Callable[[], int], str]] = {
     "ggavatar-demo": (preprocess_commands.demo, "preprocess.cli.demo"),
     "ggavatar-eval": (evaluate_commands.evaluate, "evaluate.cli.evaluate"),
     "ggavatar-render": (evaluate_commands.render, "evaluate.cli.render"),
+    "ggavatar-view": (evaluate_commands.view, "evaluate.cli.view"),
 }
 
 

@@ -33,6 +33,7 @@ MISTAKES = {
     "ggavatar-export": "absent",
     "ggavatar-render": "absent",
     "ggavatar-eval": "absent",
+    "ggavatar-view": "absent",
     "ggavatar-doctor": "absent",
     "ggavatar-models": "--fetch absent",
     "ggavatar-demo": "-o out --frames 0",
