@@ -13,7 +13,8 @@ from torch.overrides import TorchFunctionMode
 
 from benchmarks.pretended.rasterizers import stand_ins
 from benchmarks.pretended.tally import Tally
-from benchmarks.pretended.tensors import PretendedTensor, is_pinned, note_transfer
+from benchmarks.pretended.tensors import PretendedTensor, note_transfer
+from ggavatar.jit.constants import constant
 
 COPIED_IN = ("tensor", "as_tensor", "asarray", "scalar_tensor")
 """Functions that copy values of the host to the device, and wait for it."""
@@ -40,8 +41,22 @@ def pretended_cuda() -> Iterator[Tally]:
             stack.enter_context(mock.patch.object(torch.cuda, name, function))
         stack.enter_context(mock.patch.object(Tensor, "pin_memory", _pinned))
         stack.enter_context(stand_ins())
+        stack.enter_context(mock.patch.object(torch.autograd, "_engine_run_backward", _backward_with(tally)))
         stack.enter_context(PretendedFunctions(tally))
+        constant.cache_clear()
         yield tally
+        constant.cache_clear()
+
+
+def _backward_with(tally: Tally) -> Any:
+    """The backward pass, whose Python code sees the device too."""
+    run = torch.autograd._engine_run_backward  # type: ignore[attr-defined]
+
+    def run_with_device(*args: Any, **kwargs: Any) -> Any:
+        with PretendedFunctions(tally):
+            return run(*args, **kwargs)
+
+    return run_with_device
 
 
 def _pinned(tensor: Tensor, *_: Any) -> Tensor:
@@ -63,12 +78,6 @@ class PretendedFunctions(TorchFunctionMode):
         name = getattr(func, "__name__", "")
         if func in (Tensor.to, Tensor.cuda, Tensor.cpu):
             return self._moved(*_destination(func, args, kwargs))
-        if func is Tensor.backward:
-            with self:  # Python code within the backward pass sees the device too
-                return torch.autograd.backward(args[0], kwargs.pop("gradient", None), **kwargs)
-        if func is torch.autograd.grad or name == "grad" and "autograd" in getattr(func, "__module__", ""):
-            with self:
-                return func(*args, **kwargs)
         if func == Tensor.grad.__get__ and isinstance(args[0], PretendedTensor):  # type: ignore[attr-defined]
             return self._wrapped(func(*args, **kwargs))
         if name in ("__matmul__", "matmul", "__rmatmul__") and args[0].dim() == 1 and args[1].dim() == 2:
@@ -135,6 +144,3 @@ def _is_fused_adam() -> bool:
 
 def _is_cuda(device: Any) -> bool:
     return device is not None and not isinstance(device, int) and torch.device(device).type == "cuda"
-
-
-__all__ = ["PretendedTensor", "is_pinned", "pretended_cuda"]

@@ -53,6 +53,7 @@ from ggavatar.networks.conditioned_mlp import ConditionedPerceptron
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 PAPER_ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer, iterations."""
@@ -160,10 +161,8 @@ def build(config: Config, scene: Scene) -> FlashAvatar:
     return avatar
 
 
-class FlashAvatar(nn.Module):
+class FlashAvatar(StepCounter):
     """The avatar: rows of Gaussians at fixed places on the mesh, and the network that moves them."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -178,7 +177,6 @@ class FlashAvatar(nn.Module):
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached_encoding: Tensor | None = None
         self.register_load_state_dict_post_hook(lambda *_: self._clear_encoding())
         drive = scene.drives[0] if scene.drives else self.head.neutral_drive()

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
@@ -38,6 +38,7 @@ from ggavatar.losses.vgg import FeatureChoice
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 
 
@@ -193,10 +194,8 @@ def build(config: Config, scene: Scene) -> GaussianAvatars:
     return avatar
 
 
-class GaussianAvatars(nn.Module):
+class GaussianAvatars(StepCounter):
     """The avatar: rows of Gaussians in the local spaces of their triangles, and corrections of training frames."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -220,7 +219,6 @@ class GaussianAvatars(nn.Module):
             scene.seed,
             features=config.perceptual_features,
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space; drives of training frames are corrected first (Sec. 3.4)."""

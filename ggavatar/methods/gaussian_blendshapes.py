@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
@@ -47,6 +47,7 @@ from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 PROPERTIES = (3, 4, 3, 1)
 """Components of position, quaternion, scale and opacity in a difference; those of the harmonics follow."""
@@ -175,10 +176,8 @@ def build(config: Config, scene: Scene) -> GaussianBlendshapes:
     return avatar
 
 
-class GaussianBlendshapes(nn.Module):
+class GaussianBlendshapes(StepCounter):
     """The avatar: rows of neutral Gaussians with their differences, and tables of the motion of each triangle."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -197,7 +196,6 @@ class GaussianBlendshapes(nn.Module):
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached: tuple[Tensor, Tensor] | None = None
 
     def gaussians(self, drive: Drive) -> Gaussians:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
@@ -40,6 +40,7 @@ from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, 
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 
 @dataclass(frozen=True)
@@ -190,10 +191,8 @@ def build(config: Config, scene: Scene) -> GGAvatar:
     return avatar
 
 
-class GGAvatar(nn.Module):
+class GGAvatar(StepCounter):
     """The avatar: rows of Gaussians in the local spaces of their triangles, and the adjuster."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -209,7 +208,6 @@ class GGAvatar(nn.Module):
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached_hidden: Tensor | None = None
 
     @property

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
@@ -27,6 +27,7 @@ from ggavatar.losses.vgg import FeatureChoice
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import log_linear
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 from ggavatar.points.canonical import CanonicalNetwork, Surface
 from ggavatar.points.canonical_reference import CanonicalConfig
@@ -175,10 +176,8 @@ class Canonical(NamedTuple):
     features: Features | None
 
 
-class PointAvatar(nn.Module):
+class PointAvatar(StepCounter):
     """The avatar: points, and the networks of their surface, deformation and shading."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -214,7 +213,6 @@ class PointAvatar(nn.Module):
         )
         self.schedule = cloud_schedule(config, scene)
         self.meters = meters_per_device_unit(scene)
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached: Canonical | None = None
         self._surface_at_points: Surface | None = None
 
