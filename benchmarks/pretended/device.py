@@ -34,6 +34,7 @@ def pretended_cuda() -> Iterator[Tally]:
         "device_count": lambda: 1,
         "get_device_name": lambda *_: "pretended",
         "max_memory_allocated": lambda *_: 0,
+        "mem_get_info": lambda *_: (8 << 30, 8 << 30),
         "synchronize": lambda *_: tally.wait("synchronize"),
     }
     with contextlib.ExitStack() as stack:

@@ -14,10 +14,46 @@ OURS = ("ggavatar", "evaluate", "preprocess")
 ROOT = Path(__file__).resolve().parents[2]
 
 NO_LAUNCH = frozenset(
-    "_reshape_alias _unsafe_view alias as_strided chunk detach device diagonal empty empty_like empty_permuted "
-    "empty_strided expand is_same_size lift lift_fresh movedim new_empty new_empty_strided numpy_T permute real reshape "
-    "resize_ select set_ slice split split_with_sizes squeeze t transpose unbind unfold unsafe_split unsqueeze view "
-    "view_as_real".split()
+    [
+        "_reshape_alias",
+        "_unsafe_view",
+        "alias",
+        "as_strided",
+        "chunk",
+        "detach",
+        "device",
+        "diagonal",
+        "empty",
+        "empty_like",
+        "empty_permuted",
+        "empty_strided",
+        "expand",
+        "is_same_size",
+        "lift",
+        "lift_fresh",
+        "movedim",
+        "new_empty",
+        "new_empty_strided",
+        "numpy_T",
+        "permute",
+        "real",
+        "reshape",
+        "resize_",
+        "select",
+        "set_",
+        "slice",
+        "split",
+        "split_with_sizes",
+        "squeeze",
+        "t",
+        "transpose",
+        "unbind",
+        "unfold",
+        "unsafe_split",
+        "unsqueeze",
+        "view",
+        "view_as_real",
+    ]
 )
 """Operations that only describe memory."""
 
@@ -28,8 +64,23 @@ SEVERAL_LAUNCHES = {
 """Launches of operations that need more than one on CUDA; accumulating `index_put` sorts its indices."""
 
 WAITING = frozenset(
-    "_linalg_check_errors _linalg_det _linalg_eigh _linalg_svd _unique2 bincount equal inverse is_nonzero linalg_inv_ex "
-    "linalg_svd masked_select nonzero unique_consecutive unique_dim".split()
+    [
+        "_linalg_check_errors",
+        "_linalg_det",
+        "_linalg_eigh",
+        "_linalg_svd",
+        "_unique2",
+        "bincount",
+        "equal",
+        "inverse",
+        "is_nonzero",
+        "linalg_inv_ex",
+        "linalg_svd",
+        "masked_select",
+        "nonzero",
+        "unique_consecutive",
+        "unique_dim",
+    ]
 )
 """Operations whose result decides a shape or a branch on the host, so that it waits for the device."""
 

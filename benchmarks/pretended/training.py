@@ -103,4 +103,4 @@ def count_frame(trainer: Trainer, tally: Tally) -> Counts:
     return counts
 
 
-__all__ = ["Counts", "CountedTraining", "Frames", "count_frame", "make_pretended_trainer", "train_counted"]
+__all__ = ["CountedTraining", "Counts", "Frames", "count_frame", "make_pretended_trainer", "train_counted"]

@@ -30,7 +30,7 @@ from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
@@ -213,6 +213,7 @@ class GaussianAvatars(StepCounter):
         self.corrections = drive_corrections(config, scene)
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight,
             crops if config.perceptual_mode == "crops" else None,
@@ -238,7 +239,7 @@ class GaussianAvatars(StepCounter):
             "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.perceptual_weight and step > config.perceptual_share * self.scene.steps:
-            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
         return terms
 

@@ -38,7 +38,7 @@ from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
@@ -193,6 +193,7 @@ class GaussianBlendshapes(StepCounter):
         self.rows = initial_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
@@ -233,7 +234,7 @@ class GaussianBlendshapes(StepCounter):
             apart = torch.stack([(teeth * one).sum() / one.sum().clamp_min(1) for one in sets])
             terms["mouth"] = config.mouth_weight * apart.sum()
         if config.perceptual_weight:
-            boxes = region_boxes(self.head, frame)
+            boxes = self.boxes.of(frame)
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
         return terms
 

@@ -30,7 +30,7 @@ from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
@@ -205,6 +205,7 @@ class GGAvatar(StepCounter):
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
@@ -241,7 +242,7 @@ class GGAvatar(StepCounter):
         if config.alpha_weight:
             terms["alpha"] = config.alpha_weight * l1(rendering.alpha, frame.alpha)
         if config.perceptual_weight and not self.is_neutral:
-            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))  # Eq. 16
         return terms
 

@@ -19,7 +19,7 @@ from torch.nn.functional import interpolate, mse_loss, normalize
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.head.head_pose import HeadPoses
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
@@ -208,6 +208,7 @@ class PointAvatar(StepCounter):
         self.corrections = corrections(config, scene)
         self.corrections_optimizer = sparse_adam(config, self.corrections)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
@@ -340,7 +341,7 @@ class PointAvatar(StepCounter):
 
     def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
         if self.config.perceptual_mode == "crops":
-            return self.perceptual(rendering.image, frame.image, step, region_boxes(self.head, frame))
+            return self.perceptual(rendering.image, frame.image, step, self.boxes.of(frame))
         return self.perceptual(_resized(rendering.image), _resized(frame.image), step)
 
     def _corrected(self, drive: Drive) -> Drive:
