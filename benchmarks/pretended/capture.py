@@ -43,7 +43,7 @@ def _tracking(head: HeadModel, size: int, frames: int) -> Tracking:
     low, high = head.neutral().amin(0).numpy(), head.neutral().amax(0).numpy()
     center, extent = (low + high) / 2, float((high - low).max())
     view = np.diag([1.0, -1.0, -1.0, 1.0])
-    view[:3, 3] = -view[:3, :3] @ (center + [0, 0, 1.0])
+    view[:3, 3] = -view[:3, :3] @ (center + np.array([0.0, 0.0, 1.0]))
     focal = 0.9 * size / extent
     intrinsics = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
     return Tracking(

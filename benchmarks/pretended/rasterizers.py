@@ -84,8 +84,9 @@ class _Draw(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, setting: Any, *tensors: Tensor) -> tuple[Tensor, ...]:
         rasterize, gaussians, camera, background, launches, found = setting
+        wanted = ctx.needs_input_grad[1:]
         with torch._C.DisableTorchFunction(), torch.enable_grad():
-            leaves = [inner(v).detach().clone().requires_grad_(w) for v, w in zip(tensors, ctx.needs_input_grad[1:])]
+            leaves = [inner(v).detach().clone().requires_grad_(w) for v, w in zip(tensors, wanted, strict=True)]
             splats = dataclasses.replace(gaussians, **dict(zip(SPLATTED, leaves[:-1], strict=True)))
             view = dataclasses.replace(camera, intrinsics=inner(camera.intrinsics).detach(), world_to_camera=leaves[-1])
             drawn = rasterize(splats, view, inner(background).detach())
@@ -104,13 +105,17 @@ class _Draw(torch.autograd.Function):
         upstream = [inner(to_image).contiguous(), inner(to_alpha).contiguous()]
         with torch._C.DisableTorchFunction():
             inputs = [*wanted, *([drawn.means2d] if drawn.means2d.requires_grad else [])]
-            outputs = [(value, up) for value, up in zip((drawn.image, drawn.alpha), upstream) if value.requires_grad]
+            outputs = [
+                (value, up)
+                for value, up in zip((drawn.image, drawn.alpha), upstream, strict=True)
+                if value.requires_grad
+            ]
             found = torch.autograd.grad(
                 [value for value, _ in outputs], inputs, [up for _, up in outputs], allow_unused=True, retain_graph=True
             )
         ctx.tally.launch("rasterizer, backward", ctx.launches.backward)
         if drawn.means2d.requires_grad and found[-1] is not None:
             ctx.found["means2d"].grad = PretendedTensor(found[-1], ctx.tally)
-        by_leaf = dict(zip(map(id, wanted), found))
+        by_leaf = dict(zip(map(id, wanted), found, strict=False))  # the last gradient is that of the centers
         gradients = [by_leaf.get(id(leaf)) for leaf in ctx.leaves]
         return None, *(None if value is None else PretendedTensor(value, ctx.tally) for value in gradients)

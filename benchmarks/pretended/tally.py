@@ -14,46 +14,10 @@ OURS = ("ggavatar", "evaluate", "preprocess")
 ROOT = Path(__file__).resolve().parents[2]
 
 NO_LAUNCH = frozenset(
-    [
-        "_reshape_alias",
-        "_unsafe_view",
-        "alias",
-        "as_strided",
-        "chunk",
-        "detach",
-        "device",
-        "diagonal",
-        "empty",
-        "empty_like",
-        "empty_permuted",
-        "empty_strided",
-        "expand",
-        "is_same_size",
-        "lift",
-        "lift_fresh",
-        "movedim",
-        "new_empty",
-        "new_empty_strided",
-        "numpy_T",
-        "permute",
-        "real",
-        "reshape",
-        "resize_",
-        "select",
-        "set_",
-        "slice",
-        "split",
-        "split_with_sizes",
-        "squeeze",
-        "t",
-        "transpose",
-        "unbind",
-        "unfold",
-        "unsafe_split",
-        "unsqueeze",
-        "view",
-        "view_as_real",
-    ]
+    """_reshape_alias _unsafe_view alias as_strided chunk detach device diagonal empty empty_like empty_permuted
+    empty_strided expand is_same_size lift lift_fresh movedim new_empty new_empty_strided numpy_T permute real reshape
+    resize_ select set_ slice split split_with_sizes squeeze t transpose unbind unfold unsafe_split unsqueeze view
+    view_as_real""".split()  # noqa: SIM905 - a list of one name a line would fill a page
 )
 """Operations that only describe memory."""
 
@@ -64,23 +28,8 @@ SEVERAL_LAUNCHES = {
 """Launches of operations that need more than one on CUDA; accumulating `index_put` sorts its indices."""
 
 WAITING = frozenset(
-    [
-        "_linalg_check_errors",
-        "_linalg_det",
-        "_linalg_eigh",
-        "_linalg_svd",
-        "_unique2",
-        "bincount",
-        "equal",
-        "inverse",
-        "is_nonzero",
-        "linalg_inv_ex",
-        "linalg_svd",
-        "masked_select",
-        "nonzero",
-        "unique_consecutive",
-        "unique_dim",
-    ]
+    """_linalg_check_errors _linalg_det _linalg_eigh _linalg_svd _unique2 bincount equal inverse is_nonzero
+    linalg_inv_ex linalg_svd masked_select nonzero unique_consecutive unique_dim""".split()  # noqa: SIM905
 )
 """Operations whose result decides a shape or a branch on the host, so that it waits for the device."""
 

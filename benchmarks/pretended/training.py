@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from benchmarks.pretended.tally import Tally
 from ggavatar.data.capture import Capture
-from ggavatar.data.frames import Frames
 from ggavatar.training.session import configure, make_trainer
 from ggavatar.training.trainer import StopSignals, Trainer
 
@@ -54,10 +55,8 @@ class CountedTraining:
 
 def make_pretended_trainer(method: str, capture: Capture, folder: Path, options: dict[str, Any]) -> Trainer:
     """A trainer on the pretended device, with features that need no download."""
-    small = FEWER.get(method, ())
-    features = () if method == "point_avatar_" else ("perceptual_features=random",)
     wanted = {"steps": 12, "eval_every": 0, "save_every": 10**6, "max_gaussians": 16_000, **options}
-    wanted["set"] = [*small, *features, *options.get("set", ())]
+    wanted["set"] = ["perceptual_features=random", *FEWER.get(method, ()), *options.get("set", ())]
     config, split = configure(capture, {**wanted, "method": method, "device": "cuda"})
     folder.mkdir(parents=True, exist_ok=True)
     return make_trainer(folder, config, capture, split)
@@ -90,8 +89,6 @@ def train_counted(trainer: Trainer, tally: Tally, done: int = 0) -> CountedTrain
 
 def count_frame(trainer: Trainer, tally: Tally) -> Counts:
     """Counts of rendering a frame with what evaluation caches in place."""
-    import torch
-
     avatar, frames, number = trainer.avatar.eval(), trainer.frames, trainer.split.test[0]
     drive, camera = frames.drive(number), frames.camera(number)
     with torch.no_grad():
@@ -101,6 +98,3 @@ def count_frame(trainer: Trainer, tally: Tally) -> Counts:
     counts = Counts.of(tally)
     avatar.train()
     return counts
-
-
-__all__ = ["CountedTraining", "Counts", "Frames", "count_frame", "make_pretended_trainer", "train_counted"]
