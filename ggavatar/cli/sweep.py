@@ -51,7 +51,7 @@ class Arguments:
     jobs: int = 1
     """local: number of cells trained at the same time."""
     gpus_per_job: float | None = None
-    """ray: GPUs per cell, a fraction shares one; if not given, one where the cluster has any and --device is not cpu."""
+    """ray: GPUs per cell, a fraction shares one; by default one where the cluster has any and --device is not cpu."""
     cpus_per_job: float = 1.0
     """ray: cores per cell."""
     retries: int = 0

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 
-def constant_like(values: tuple[float, ...], like: Tensor) -> Tensor:
+def constant_like(values: tuple[int | float, ...], like: Tensor) -> Tensor:
     """The values as a tensor of the dtype and on the device of `like`; it is shared, so do not write to it."""
     return constant(values, like.dtype, like.device)
 
 
 @functools.cache
-def constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+def constant(values: tuple[int | float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
     """The values as a tensor, made once for every dtype and device; it is shared, so do not write to it."""
     with torch.inference_mode(False):  # it may be kept for a backward pass later
         return torch.tensor(values, dtype=dtype, device=device)

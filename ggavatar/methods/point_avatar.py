@@ -21,6 +21,7 @@ from ggavatar.data.scene import Scene
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.jit.bfloat16 import matmul_dtype
+from ggavatar.jit.constants import to_device
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
 from ggavatar.losses.vgg import FeatureChoice
@@ -243,7 +244,8 @@ class PointAvatar(StepCounter):
         if config.perceptual_weight:
             terms |= self._perceptual_term(frame, rendering, step)
         count, generator = len(self.cloud.points), seeded(self.scene.seed, 5, step)
-        some = torch.randperm(count, generator=generator)[: config.regularised or count].to(rendering.image.device)
+        some = torch.randperm(count, generator=generator)[: config.regularised or count]
+        some = to_device(some, rendering.image.device)
         terms |= self._surface_terms(some, generator)
         weight = config.head_weight * 0.5 ** sum(milestone <= self.epoch for milestone in config.head_milestones)
         points = self.cloud.points[some]
@@ -331,7 +333,7 @@ class PointAvatar(StepCounter):
         """Loss: points lie on the surface, whose gradient has length 1 at and around them."""
         assert self._surface_at_points is not None, "call gaussians() before losses() in every step"
         points = self.cloud.points[some].detach()
-        noise = torch.rand(points.shape, generator=generator).to(points) - 0.5
+        noise = to_device(torch.rand(points.shape, generator=generator), points.device) - 0.5
         around = self.surface(points + 2 * self.config.neighbours * noise).gradient
         lengths = torch.cat((self._surface_at_points.gradient[some], around)).norm(dim=1)
         return {

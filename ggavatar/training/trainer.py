@@ -178,7 +178,7 @@ class Trainer:
         """The update on a device, which leaves it out by itself where `is_bad` is 1; statistics get nothing then."""
         for optimizer in self.avatar.optimizers():
             step_with_rate_factor(optimizer, self.plan.rate_factor(step), functools.partial(step_unless, is_bad))
-        clear_if(is_bad, rendering.means2d.grad)
+        clear_if(is_bad, rendering.radii)  # nothing was visible, so that density control learns nothing
         self.avatar.after_backward(rendering, step)
 
     def _log(

@@ -206,7 +206,11 @@ def test_a_log_that_exists_is_added_to(tmp_path: Path) -> None:
     assert (tmp_path / "new" / "x.log").read_text() == "one\ntwo\n"
 
 
-RECORD = "import os, pathlib, sys, time; pathlib.Path(sys.argv[1]).write_text(os.environ['CUDA_VISIBLE_DEVICES']); time.sleep(0.3)"
+RECORD = (
+    "import os, pathlib, sys, time\n"
+    "pathlib.Path(sys.argv[1]).write_text(os.environ['CUDA_VISIBLE_DEVICES'])\n"
+    "time.sleep(0.3)\n"
+)
 
 
 def test_cells_that_run_side_by_side_see_different_gpus(tmp_path: Path) -> None:
