@@ -25,8 +25,8 @@ STEPS = FRAMES + 4
 
 def methods() -> list[str]:
     """Every method, without variants."""
-    names = registry.names()
-    return [name for name in names if not any(name.startswith(f"{other}_with") for other in names)]
+    stems = {path.stem for path in registry.METHODS_FOLDER.glob("*.py")}
+    return [name for name in registry.names() if name in stems]
 
 
 def count(method: str, capture: Capture, folder: Path) -> dict[str, Any]:
