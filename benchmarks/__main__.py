@@ -13,7 +13,7 @@ from ggavatar.cli.process import prepare_process
 prepare_process()
 from benchmarks.measure import environment  # noqa: E402  imports torch
 
-NAMES = ("rasterizer", "step", "scaling", "evaluation", "preparation")
+NAMES = ("rasterizer", "step", "scaling", "evaluation", "preparation", "launches")
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:

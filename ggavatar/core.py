@@ -33,8 +33,11 @@ class Camera:
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for an image resampled to `width` × `height` px, edges aligned."""
-        factors = self.intrinsics.new_tensor([[width / self.width], [height / self.height], [1.0]])
-        return Camera(self.intrinsics * factors, self.world_to_camera, width, height)
+        if (width, height) == (self.width, self.height):
+            return self
+        across, down, last = self.intrinsics.unbind(0)
+        intrinsics = torch.stack((across * (width / self.width), down * (height / self.height), last))
+        return Camera(intrinsics, self.world_to_camera, width, height)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,10 @@ from ggavatar.errors import (
 from ggavatar.text.terminal import write_err
 
 FEWER = "Use fewer frames, a smaller --size or fewer Gaussians (--max-gaussians)."
+ON_DEVICE = (
+    "Use fewer Gaussians (--max-gaussians), the perceptual loss on crops (--set perceptual_mode=crops), smaller frames "
+    "(ggavatar-prep --size), or another device (--device cuda:1, --device cpu); checkpoints are intact."
+)
 FILES = "Too many open files: raise the limit (ulimit -n)."
 
 
@@ -74,7 +78,7 @@ def _exhausted(error: Exception) -> tuple[str, str] | None:
     if "Too many open files" in text:
         return "error", FILES
     if type(error).__name__ == "OutOfMemoryError":  # torch's, which need not be imported here
-        return "out of memory", f"{text} {FEWER}"
+        return "out of memory", f"{text} {ON_DEVICE if 'CUDA' in text else FEWER}"
     lacking = ("can't allocate memory", "cannot allocate memory", "failed to map segment", "can't start new thread")
     if any(words in str(error).lower() for words in lacking):
         return "out of memory", f"{text}; raise the limit (ulimit -v), or use fewer frames or Gaussians"

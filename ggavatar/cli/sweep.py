@@ -50,8 +50,8 @@ class Arguments:
     """local: processes on this computer; ray: the machines of a Ray cluster, which share the output folder."""
     jobs: int = 1
     """local: number of cells trained at the same time."""
-    gpus_per_job: float = 0.0
-    """ray: GPUs per cell; a fraction shares one."""
+    gpus_per_job: float | None = None
+    """ray: GPUs per cell, a fraction shares one; by default one where the cluster has any and --device is not cpu."""
     cpus_per_job: float = 1.0
     """ray: cores per cell."""
     retries: int = 0
@@ -133,17 +133,30 @@ def make_backend(arguments: Arguments) -> Backend:
     Raises:
         InputError: A flag is out of range, or belongs to the other backend.
     """
-    if arguments.retries < 0 or arguments.gpus_per_job < 0 or arguments.jobs < 1:
+    if arguments.retries < 0 or (arguments.gpus_per_job or 0) < 0 or arguments.jobs < 1:
         raise InputError("expected --jobs of 1 or more, --retries and --gpus-per-job of 0 or more")
     if arguments.backend == "ray":
         if arguments.jobs != 1:
             raise InputError(
                 "expected --jobs with --backend local only: Ray runs as many cells as the cluster can hold"
             )
-        return RayCluster(arguments.gpus_per_job, arguments.cpus_per_job, arguments.retries)
+        gpus = 0.0 if arguments.gpus_per_job is None and arguments.device == "cpu" else arguments.gpus_per_job
+        return RayCluster(gpus, arguments.cpus_per_job, arguments.retries)
     if arguments.gpus_per_job:
         raise InputError("expected --gpus-per-job with --backend ray only; processes on one computer share its GPUs")
-    return LocalProcesses(arguments.jobs, arguments.retries)
+    return LocalProcesses(arguments.jobs, arguments.retries, visible_gpus(arguments))
+
+
+def visible_gpus(arguments: Arguments) -> tuple[str, ...]:
+    """CUDA devices to distribute cells on: those this process sees, if cells run side by side and may use any."""
+    if arguments.jobs == 1 or arguments.device not in (None, "auto", "cuda"):
+        return ()
+    named = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if named is not None:
+        return tuple(name.strip() for name in named.split(",") if name.strip())
+    import torch  # --help does without
+
+    return tuple(map(str, range(torch.cuda.device_count())))
 
 
 def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) -> list[Outcome]:

@@ -84,8 +84,8 @@ def _description() -> str:
 
 
 def _train(arguments: Arguments) -> int:
+    from ggavatar.training.finite_guard import TrainingError
     from ggavatar.training.session import TrainingInterrupted, train_run
-    from ggavatar.training.trainer import TrainingError
 
     if arguments.resume and arguments.overwrite:
         raise InputError("--resume and --overwrite are mutually exclusive; leave one out")

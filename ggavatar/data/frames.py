@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections.abc import Generator, Iterable, Iterator, Sequence
 
 import numpy as np
@@ -18,12 +20,18 @@ from ggavatar.optim.seeding import seeded
 
 AHEAD = 4
 """Frames read ahead of the one in use."""
+READERS = 4
+"""Threads that decode frames for a CUDA device; for a CPU there is one, which leaves the cores to the training."""
+DEVICE_SHARE = 4
+"""A CUDA device keeps frames in one part in so many of the memory that is free when the training starts."""
 
 
 class Frames:
     """The frames of a capture, read on demand and cached as 8-bit pixels within a memory budget.
 
-    Cached frames are not evicted: training visits frames in random order, so replacing one by another gains nothing.
+    A CUDA device keeps the frames that it has been given, as 8-bit pixels within a budget of its own; the others are
+    copied to it from pinned memory, decoded by several threads ahead of use. Cached frames are not evicted: training
+    visits frames in random order, so replacing one by another gains nothing.
     """
 
     def __init__(
@@ -46,7 +54,9 @@ class Frames:
         self._capture, self._device = capture, device
         self.background = background.detach().cpu().to(torch.float32)
         self._drives, self._cameras = drives_and_cameras(capture, head, device)
+        self._lock = threading.Lock()
         self._room = budget_mib << 20
+        self._on_device = DeviceFrames(torch.device(device)) if torch.device(device).type == "cuda" else None
         self._kept: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def drive(self, number: int) -> Drive:
@@ -79,8 +89,29 @@ class Frames:
         )
 
     def stream(self, requests: Iterable[tuple[int, int, int]]) -> Generator[Frame]:
-        """Frames for (number, width, height) in order; one thread reads and caches them, `AHEAD` frames ahead."""
-        return ordered_map(lambda request: self.frame(*request, keep=True), requests, threads=1, ahead=AHEAD)
+        """Frames for (number, width, height) in order, read and cached by threads, `AHEAD` frames ahead."""
+        if self._on_device is None:
+            return ordered_map(lambda request: self.frame(*request, keep=True), requests, threads=1, ahead=AHEAD)
+        return self._device_stream(self._on_device, requests)
+
+    def _device_stream(self, kept: DeviceFrames, requests: Iterable[tuple[int, int, int]]) -> Generator[Frame]:
+        """The same for a CUDA device: threads decode what it does not hold yet, and the caller's thread copies."""
+
+        def read(request: tuple[int, int, int]) -> tuple[tuple[int, int, int], Tensor | None]:
+            if request in kept:
+                return request, None
+            image, alpha = self._pixels(*request, keep=not kept.has_room_for(*request[1:]))
+            return request, torch.from_numpy(np.concatenate((image, alpha[..., None]), axis=-1)).pin_memory()
+
+        with contextlib.closing(ordered_map(read, requests, threads=READERS, ahead=AHEAD)) as pixels:
+            for request, found in pixels:
+                values = kept.take(request, found)
+                number, *size = request
+                camera = self._camera_at(number, *size)
+                yield Frame(self.drive(number), camera, _unit(values[..., :3]), _unit(values[..., 3:]))
+
+    def _camera_at(self, number: int, width: int, height: int) -> Camera:
+        return self.camera(number).resized(width, height)
 
     def _pixels(self, number: int, width: int, height: int, keep: bool) -> tuple[np.ndarray, np.ndarray]:
         """Composited colors [H, W, 3] and coverage [H, W], 8-bit, from the cache or from disk."""
@@ -93,13 +124,14 @@ class Frames:
         return found
 
     def _keep(self, key: tuple[int, int, int], pixels: tuple[np.ndarray, np.ndarray]) -> None:
-        """Cache the pixels if the budget allows; called by the reader thread only."""
+        """Cache the pixels if the budget allows."""
         size = sum(part.nbytes for part in pixels)
-        if size > self._room:
-            self._forget_other_sizes(*key[1:])
-        if size <= self._room:
-            self._room -= size
-            self._kept[key] = pixels
+        with self._lock:
+            if size > self._room:
+                self._forget_other_sizes(*key[1:])
+            if size <= self._room and key not in self._kept:
+                self._room -= size
+                self._kept[key] = pixels
 
     def _forget_other_sizes(self, width: int, height: int) -> None:
         """Drop frames of other sizes; training never returns to an earlier resolution."""
@@ -115,6 +147,41 @@ class Frames:
 
             image, alpha = (cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA) for part in (image, alpha))
         return np.rint(image).astype(np.uint8), np.rint(alpha).astype(np.uint8)
+
+
+class DeviceFrames:
+    """Frames on a CUDA device, as 8-bit colors and coverage [H, W, 4], up to a share of its free memory."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self._room = torch.cuda.mem_get_info(device)[0] // DEVICE_SHARE
+        self._kept: dict[tuple[int, int, int], Tensor] = {}
+
+    def __contains__(self, request: tuple[int, int, int]) -> bool:
+        return request in self._kept
+
+    def has_room_for(self, width: int, height: int) -> bool:
+        """Whether one more frame of this size fits, if need be in place of frames of other sizes."""
+        others = sum(value.numel() for key, value in list(self._kept.items()) if key[1:] != (width, height))
+        return 4 * width * height <= self._room + others
+
+    def take(self, request: tuple[int, int, int], pixels: Tensor | None) -> Tensor:
+        """The pixels of a request on the device: those it holds, or `pixels`, copied from pinned memory and kept.
+
+        Training never returns to an earlier resolution: frames of other sizes go first.
+        """
+        found = self._kept.get(request)
+        if found is not None:
+            return found
+        assert pixels is not None, "only frames that the device holds come without pixels"
+        found = pixels.to(self._device, non_blocking=True)
+        if found.numel() > self._room:
+            for key in [key for key in self._kept if key[1:] != request[1:]]:
+                self._room += self._kept.pop(key).numel()
+        if found.numel() <= self._room:
+            self._room -= found.numel()
+            self._kept[request] = found
+        return found
 
 
 def random_order(numbers: Sequence[int], seed: int, first_step: int) -> Iterator[int]:
@@ -180,4 +247,9 @@ def evenly_spaced(numbers: Sequence[int], count: int) -> list[int]:
 
 
 def _to_float(pixels: np.ndarray, device: torch.device | str) -> Tensor:
-    return torch.from_numpy(pixels).to(device).to(torch.float32) / 255
+    return _unit(torch.from_numpy(pixels).to(device))
+
+
+def _unit(pixels: Tensor) -> Tensor:
+    """8-bit values in [0, 1]."""
+    return pixels.to(torch.float32) / 255

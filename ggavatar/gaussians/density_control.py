@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ggavatar.core import Rendering
 from ggavatar.geometry.transforms import quaternion_to_matrix
+from ggavatar.jit.constants import constant_like
 from ggavatar.optim.parameters import Rows
 from ggavatar.optim.schedules import scaled
 
@@ -41,7 +42,7 @@ def accumulate(rows: Rows, rendering: Rendering) -> None:
         return
     height, width = rendering.image.shape[:2]
     visible = rendering.radii > 0
-    norm = (gradient * gradient.new_tensor([width / 2, height / 2])).norm(dim=-1)
+    norm = (gradient * constant_like((width / 2, height / 2), gradient)).norm(dim=-1)
     rows["gradient"].add_(torch.where(visible, norm, torch.zeros_like(norm)))
     rows["seen"].add_(visible)
 

@@ -12,6 +12,7 @@ from torch.nn.functional import normalize
 from ggavatar.gaussians.binding import WorldGeometry
 from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.jit import device_kernels
+from ggavatar.jit.constants import constant_like
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 
@@ -92,7 +93,7 @@ def refine_in_torch(
     if rotation == "add":
         turned = normalize(quats + offsets.rotations, dim=-1)
     else:
-        identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
+        identity = constant_like((1.0, 0.0, 0.0, 0.0), quats)
         turned = quaternion_multiply(normalize(identity + offsets.rotations, dim=-1), quats)
     return WorldGeometry(means + unit * offsets.means, turned, scales * torch.exp(offsets.log_scales))
 

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ggavatar.geometry.transforms import matrix_to_quaternion
+from ggavatar.jit.constants import constant_like
 
 POLAR_ITERATIONS = 8
 """Newton steps toward the nearest rotation; each squares the error."""
@@ -32,8 +33,8 @@ class FaceDeformations(NamedTuple):
 
     def at(self, coefficients: Float[Tensor, " K"]) -> tuple[Tensor, Tensor, Tensor]:
         """The blended map I + Σ c_k linear_k [F, 3, 3], its offset [F, 3] and its quaternion, not normalized [F, 4]."""
-        identity = self.table.new_tensor([1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0])
-        blended = (self.table.flatten(0, 1) @ coefficients).view(-1, 16) + identity
+        identity = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        blended = (self.table.flatten(0, 1) @ coefficients).view(-1, 16) + constant_like(identity, self.table)
         return blended[:, :9].unflatten(1, (3, 3)), blended[:, 9:12], blended[:, 12:]
 
     def with_static_faces(self, count: int) -> FaceDeformations:

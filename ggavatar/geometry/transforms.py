@@ -12,6 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from ggavatar.jit.constants import constant_like
+
 
 def axis_angle_to_matrix(axis_angle: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     """Rotation matrices of axis-angle vectors in rad (Rodrigues), differentiable at zero."""
@@ -113,8 +115,7 @@ def look_at(eye: Float[Tensor, "3"], target: Float[Tensor, "3"], up: Float[Tenso
 def rigid(rotation: Float[Tensor, "3 3"], translation: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:
     """A rigid transform from its rotation and translation."""
     top = torch.cat((rotation, translation[:, None]), dim=1)
-    bottom = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=rotation.dtype, device=rotation.device)
-    return torch.cat((top, bottom))
+    return torch.cat((top, constant_like((0.0, 0.0, 0.0, 1.0), rotation)[None]))
 
 
 def invert_rigid(transform: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:

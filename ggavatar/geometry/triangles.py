@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from ggavatar.jit import device_kernels
+from ggavatar.jit.constants import constant_like
 from ggavatar.jit.dispatch import compiled_for
 
 
@@ -65,7 +66,7 @@ def triangle_frames_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 
     edge_10, edge_20 = corner_1 - corner_0, corner_2 - corner_0
     length = edge_10.norm(dim=-1)
     axis_0 = _unit_or(edge_10, (1.0, 0.0, 0.0))
-    fallback = torch.linalg.cross(axis_0, axis_0.roll(1, -1) + axis_0.new_tensor([0.3, -0.2, 0.1]))
+    fallback = torch.linalg.cross(axis_0, axis_0.roll(1, -1) + constant_like((0.3, -0.2, 0.1), axis_0))
     axis_1 = _unit_or(torch.linalg.cross(axis_0, edge_20), fallback)
     axis_1 = normalize(axis_1 - (axis_1 * axis_0).sum(-1, keepdim=True) * axis_0, dim=-1)
     axis_2 = torch.linalg.cross(axis_0, axis_1)
@@ -74,8 +75,8 @@ def triangle_frames_torch(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 
     return TriangleFrames(centers, torch.stack((axis_0, axis_1, axis_2), dim=-1), (length + height) / 2)
 
 
-def _unit_or(vectors: Tensor, fallback: Tensor | tuple[float, float, float]) -> Tensor:
+def _unit_or(vectors: Tensor, fallback: Tensor | tuple[float, ...]) -> Tensor:
     """Normalize vectors, substituting `fallback` (normalized) where the length is zero."""
     length = vectors.norm(dim=-1, keepdim=True)
-    other = torch.as_tensor(fallback, dtype=vectors.dtype, device=vectors.device)
+    other = fallback if isinstance(fallback, Tensor) else constant_like(fallback, vectors)
     return torch.where(length > 1e-20, vectors / length.clamp_min(1e-20), normalize(other, dim=-1).expand_as(vectors))

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ggavatar.core import Drive
 from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_rotation_6d
+from ggavatar.jit.constants import constant
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,7 @@ class HeadModel:
         rigid pose is not included.
         """
         skipped = {"root", "neck"}
-        moving = [index for index, name in enumerate(self.joint_names) if name not in skipped]
-        rotations = matrix_to_rotation_6d(axis_angle_to_matrix(drive.joint_rotations[moving]))
+        moving = tuple(index for index, name in enumerate(self.joint_names) if name not in skipped)
+        chosen = constant(moving, torch.int64, drive.joint_rotations.device)
+        rotations = matrix_to_rotation_6d(axis_angle_to_matrix(drive.joint_rotations[chosen]))
         return torch.cat((drive.expression, rotations.flatten(), drive.eyelids))

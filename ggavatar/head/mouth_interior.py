@@ -59,6 +59,6 @@ class MouthCylinder:
         apart = points - self.center
         square = apart[:, 0].square() + apart[:, 2].square()
         beyond = square > self.radius**2
-        across = (square.where(beyond, square.new_tensor(1.0)).sqrt() - self.radius) * beyond
+        across = (square.where(beyond, 1.0).sqrt() - self.radius) * beyond
         above = (apart[:, 1].abs() - self.half_height).clamp_min(0)
         return across.square() + above.square()

@@ -22,7 +22,12 @@ def matmul_dtype(device: torch.device) -> torch.dtype:
 
 
 def padded_indices(wanted: Bool[Tensor, " N"], multiple: int) -> Int64[Tensor, " M"]:
-    """Indices of the wanted rows, followed by others until M is a multiple of `multiple` or all N rows are taken."""
+    """Indices of the wanted rows, followed by others until M is a multiple of `multiple` or all N rows are taken.
+
+    On a device all rows are taken: to know how many are wanted, the host would have to wait for it.
+    """
+    if wanted.device.type == "cuda":
+        return torch.arange(len(wanted), device=wanted.device)
     count = int(wanted.sum())
     return torch.argsort(~wanted, stable=True)[: -(-count // multiple) * multiple]
 

@@ -50,7 +50,7 @@ def position_regularizer_in_torch(
     """`position_regularizer` in plain torch: any dtype and device."""
     square = local_means.square().sum(-1)
     exceeds = square > threshold**2
-    length = square.where(exceeds, square.new_tensor(1.0)).sqrt()
+    length = square.where(exceeds, 1.0).sqrt()
     return _mean_where((length - threshold) * exceeds, visible)
 
 
@@ -78,7 +78,7 @@ def log_scale_regularizer_in_torch(
     """`log_scale_regularizer` in plain torch: any dtype and device."""
     square = (local_log_scales.exp() - threshold).clamp_min(0).square().sum(-1)
     exceeds = square > 0
-    length = square.where(exceeds, square.new_tensor(1.0)).sqrt()
+    length = square.where(exceeds, 1.0).sqrt()
     return _mean_where(length * exceeds, visible)
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, max_pool2d, relu
 
+from ggavatar.jit.constants import constant_like
 from ggavatar.pretrained.resolve import ModelUnavailable, resolve
 from ggavatar.pretrained.weights import load_weights
 from ggavatar.text.terminal import write_err
@@ -59,7 +60,7 @@ class PerceptualLoss(nn.Module):
 
     def features(self, image: Float[Tensor, "H W 3"]) -> Features:
         """Rectified features at the end of every block, for an image in [0, 1]."""
-        mean, deviation = image.new_tensor(IMAGENET_MEAN), image.new_tensor(IMAGENET_DEVIATION)
+        mean, deviation = constant_like(IMAGENET_MEAN, image), constant_like(IMAGENET_DEVIATION, image)
         maps = ((image - mean) / deviation).permute(2, 0, 1)[None]  # channels_last without a copy
         found: list[Tensor] = []
         for number, block in enumerate(BLOCKS):

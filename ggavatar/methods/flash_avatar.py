@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
@@ -28,7 +28,7 @@ from ggavatar.data.scene import Scene
 from ggavatar.gaussians.binding import WorldGeometry
 from ggavatar.gaussians.initialization import faces_seen, neighbor_distance
 from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_use, harmonics
-from ggavatar.geometry.convex_hull import hull_mask
+from ggavatar.geometry.convex_hull import hull_outline, outline_mask
 from ggavatar.geometry.transforms import project, quaternion_multiply
 from ggavatar.geometry.uv_sampling import (
     SurfaceSamples,
@@ -40,7 +40,7 @@ from ggavatar.geometry.uv_sampling import (
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import LIP_REGIONS
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.jit.bfloat16 import matmul_dtype
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import huber
@@ -50,6 +50,7 @@ from ggavatar.networks.conditioned_mlp import ConditionedPerceptron
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 PAPER_ITERATIONS = 150_000
 """Length of the authors' training, to which all constants below refer, iterations."""
@@ -155,10 +156,8 @@ def build(config: Config, scene: Scene) -> FlashAvatar:
     return avatar
 
 
-class FlashAvatar(nn.Module):
+class FlashAvatar(StepCounter):
     """The avatar: rows of Gaussians at fixed places on the mesh, and the network that moves them."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -170,11 +169,12 @@ class FlashAvatar(nn.Module):
         self.network_optimizer = torch.optim.Adam(self.network.parameters(), config.network_rate, fused=True)
         self.rows = initial_rows(config, samples)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached_encoding: Tensor | None = None
+        self._outlines: dict[tuple[int | None, int, int], tuple[Drive, Tensor]] = {}
         self.register_load_state_dict_post_hook(lambda *_: self._clear_encoding())
         drive = scene.drives[0] if scene.drives else self.head.neutral_drive()
         self.rows.replace("log_scales", neighbor_distance(self.gaussians(drive).means).log()[:, None].expand(-1, 3))
@@ -195,7 +195,7 @@ class FlashAvatar(nn.Module):
             "mouth": config.mouth_weight * huber(rendering.image * mask, frame.image * mask, config.huber_delta),
         }
         if config.perceptual_weight and step > scaled(config.perceptual_iterations, self.scene.steps, PAPER_ITERATIONS):
-            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image * frame.alpha, frame.image * frame.alpha, step, boxes))
         return terms
 
@@ -256,8 +256,17 @@ class FlashAvatar(nn.Module):
         name = next((name for name in LIP_REGIONS if name in self.head.regions), None)
         if name is None:
             return frame.image.new_zeros(height, width, 1)
-        lips = self.head.vertices(frame.drive)[self.head.regions[name]]
-        return hull_mask(project(lips, frame.camera.intrinsics, frame.camera.world_to_camera), height, width)
+        return outline_mask(self._outline(frame, name), height, width, frame.image.dtype)
+
+    def _outline(self, frame: Frame, name: str) -> Float64[Tensor, "K 3"]:
+        """The outline of a region in a frame, from an earlier visit if it had the same drive and size."""
+        key = frame.drive.frame, frame.camera.width, frame.camera.height
+        drive, outline = self._outlines.get(key, (None, None))
+        if outline is None or drive is not frame.drive:
+            places = self.head.vertices(frame.drive)[self.head.regions[name]]
+            outline = hull_outline(project(places, frame.camera.intrinsics, frame.camera.world_to_camera))
+            self._outlines[key] = frame.drive, outline
+        return outline
 
 
 def apply_offsets(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
@@ -30,7 +30,7 @@ from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import log_scale_regularizer, position_regularizer
@@ -38,6 +38,7 @@ from ggavatar.losses.vgg import FeatureChoice
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 
 
@@ -193,10 +194,8 @@ def build(config: Config, scene: Scene) -> GaussianAvatars:
     return avatar
 
 
-class GaussianAvatars(nn.Module):
+class GaussianAvatars(StepCounter):
     """The avatar: rows of Gaussians in the local spaces of their triangles, and corrections of training frames."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -214,13 +213,13 @@ class GaussianAvatars(nn.Module):
         self.corrections = drive_corrections(config, scene)
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight,
             crops if config.perceptual_mode == "crops" else None,
             scene.seed,
             features=config.perceptual_features,
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
 
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space; drives of training frames are corrected first (Sec. 3.4)."""
@@ -240,7 +239,7 @@ class GaussianAvatars(nn.Module):
             "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
         }
         if config.perceptual_weight and step > config.perceptual_share * self.scene.steps:
-            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
         return terms
 

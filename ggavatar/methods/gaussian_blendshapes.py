@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
@@ -38,7 +38,7 @@ from ggavatar.geometry.transforms import quaternion_multiply
 from ggavatar.head.head_pose import HeadPoses
 from ggavatar.head.model import HeadModel
 from ggavatar.head.mouth_interior import MouthCylinder
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.head.triangle_skinning import FaceSkinning, FaceTransforms
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
@@ -47,6 +47,7 @@ from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 PROPERTIES = (3, 4, 3, 1)
 """Components of position, quaternion, scale and opacity in a difference; those of the harmonics follow."""
@@ -175,10 +176,8 @@ def build(config: Config, scene: Scene) -> GaussianBlendshapes:
     return avatar
 
 
-class GaussianBlendshapes(nn.Module):
+class GaussianBlendshapes(StepCounter):
     """The avatar: rows of neutral Gaussians with their differences, and tables of the motion of each triangle."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -194,10 +193,10 @@ class GaussianBlendshapes(nn.Module):
         self.rows = initial_rows(config, scene, self.mouth, (len(self.units), self.slots.shape[1]))
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability)
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached: tuple[Tensor, Tensor] | None = None
 
     @property
@@ -240,7 +239,7 @@ class GaussianBlendshapes(nn.Module):
             apart = torch.stack([(teeth * one).sum() / one.sum().clamp_min(1) for one in sets])
             terms["mouth"] = config.mouth_weight * apart.sum()
         if config.perceptual_weight:
-            boxes = region_boxes(self.head, frame)
+            boxes = self.boxes.of(frame)
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))
         return terms
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
@@ -30,7 +30,7 @@ from ggavatar.gaussians.spherical_harmonics import color_from_frames, degree_in_
 from ggavatar.geometry.triangles import TriangleFrames, triangle_frames
 from ggavatar.head.head_pose import POSE_FEATURES, HeadPoses
 from ggavatar.head.model import HeadModel
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.dssim import image_terms
 from ggavatar.losses.terms import l1, log_scale_regularizer, position_regularizer
@@ -40,6 +40,7 @@ from ggavatar.networks.fields import Box, Field, FourierFeatures, HashTriplane, 
 from ggavatar.networks.morph_adjuster import AdjusterConfig, BasisAdjuster
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 
 @dataclass(frozen=True)
@@ -190,10 +191,8 @@ def build(config: Config, scene: Scene) -> GGAvatar:
     return avatar
 
 
-class GGAvatar(nn.Module):
+class GGAvatar(StepCounter):
     """The avatar: rows of Gaussians in the local spaces of their triangles, and the adjuster."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -206,10 +205,10 @@ class GGAvatar(nn.Module):
         self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached_hidden: Tensor | None = None
 
     @property
@@ -243,7 +242,7 @@ class GGAvatar(nn.Module):
         if config.alpha_weight:
             terms["alpha"] = config.alpha_weight * l1(rendering.alpha, frame.alpha)
         if config.perceptual_weight and not self.is_neutral:
-            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))  # Eq. 16
         return terms
 

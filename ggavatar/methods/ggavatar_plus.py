@@ -24,7 +24,6 @@ from torch import Tensor, nn
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.gaussians.bound_parts import BoundParts
-from ggavatar.head.region_boxes import region_boxes
 from ggavatar.losses.crop_sampler import Box
 from ggavatar.losses.vgg import FeatureChoice
 from ggavatar.methods import ggavatar
@@ -108,7 +107,7 @@ class GGAvatarPlus(nn.Module):
         """The paper's terms, coverage, and the L1 of mouth and eyes."""
         terms = dict(self.avatar.losses(frame, rendering, step))
         if self.config.region_weight and not self.avatar.is_neutral:
-            boxes = region_boxes(self.avatar.head, frame)
+            boxes = self.avatar.boxes.of(frame)
             share = 1 - self.avatar.config.dssim_share
             terms["regions"] = self.config.region_weight * share * regions_l1(rendering.image, frame.image, boxes)
         return terms

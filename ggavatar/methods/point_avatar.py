@@ -13,20 +13,22 @@ from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import interpolate, mse_loss, normalize
 
 from ggavatar.core import Drive, Frame, Rasterizer, Rendering
 from ggavatar.data.scene import Scene
 from ggavatar.head.head_pose import HeadPoses
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.jit.bfloat16 import matmul_dtype
+from ggavatar.jit.constants import to_device
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
 from ggavatar.losses.vgg import FeatureChoice
 from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.schedules import log_linear
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 from ggavatar.optim.tracking_corrections import CorrectionRates, DriveCorrections
 from ggavatar.points.canonical import CanonicalNetwork, Surface
 from ggavatar.points.canonical_reference import CanonicalConfig
@@ -175,10 +177,8 @@ class Canonical(NamedTuple):
     features: Features | None
 
 
-class PointAvatar(nn.Module):
+class PointAvatar(StepCounter):
     """The avatar: points, and the networks of their surface, deformation and shading."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -209,12 +209,12 @@ class PointAvatar(nn.Module):
         self.corrections = corrections(config, scene)
         self.corrections_optimizer = sparse_adam(config, self.corrections)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
+        self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
         self.schedule = cloud_schedule(config, scene)
         self.meters = meters_per_device_unit(scene)
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._cached: Canonical | None = None
         self._surface_at_points: Surface | None = None
 
@@ -244,7 +244,8 @@ class PointAvatar(nn.Module):
         if config.perceptual_weight:
             terms |= self._perceptual_term(frame, rendering, step)
         count, generator = len(self.cloud.points), seeded(self.scene.seed, 5, step)
-        some = torch.randperm(count, generator=generator)[: config.regularised or count].to(rendering.image.device)
+        some = torch.randperm(count, generator=generator)[: config.regularised or count]
+        some = to_device(some, rendering.image.device)
         terms |= self._surface_terms(some, generator)
         weight = config.head_weight * 0.5 ** sum(milestone <= self.epoch for milestone in config.head_milestones)
         points = self.cloud.points[some]
@@ -332,7 +333,7 @@ class PointAvatar(nn.Module):
         """Loss: points lie on the surface, whose gradient has length 1 at and around them."""
         assert self._surface_at_points is not None, "call gaussians() before losses() in every step"
         points = self.cloud.points[some].detach()
-        noise = torch.rand(points.shape, generator=generator).to(points) - 0.5
+        noise = to_device(torch.rand(points.shape, generator=generator), points.device) - 0.5
         around = self.surface(points + 2 * self.config.neighbours * noise).gradient
         lengths = torch.cat((self._surface_at_points.gradient[some], around)).norm(dim=1)
         return {
@@ -342,7 +343,7 @@ class PointAvatar(nn.Module):
 
     def _perceptual_term(self, frame: Frame, rendering: Rendering, step: int) -> dict[str, Tensor]:
         if self.config.perceptual_mode == "crops":
-            return self.perceptual(rendering.image, frame.image, step, region_boxes(self.head, frame))
+            return self.perceptual(rendering.image, frame.image, step, self.boxes.of(frame))
         return self.perceptual(_resized(rendering.image), _resized(frame.image), step)
 
     def _corrected(self, drive: Drive) -> Drive:

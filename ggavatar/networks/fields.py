@@ -18,6 +18,7 @@ from numpy import ndarray
 from torch import Tensor, nn
 
 from ggavatar.jit import device_kernels
+from ggavatar.jit.constants import constant_like
 from ggavatar.jit.dispatch import compiled_for
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Box:
 
     def normalize(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
         """Positions in the box as coordinates in [0, 1]."""
-        return ((x - x.new_tensor(self.center)) / self.side + 0.5).clamp(0, 1)
+        return ((x - constant_like(self.center, x)) / self.side + 0.5).clamp(0, 1)
 
 
 @dataclass(frozen=True)
@@ -152,22 +153,25 @@ def lookup_in_torch(
     found = []
     for plane, axes in enumerate(PLANES):
         for level in levels:
-            index, weight = _corners(unit[:, axes], level)
+            index, weight = _corners(unit[:, axes[0]], unit[:, axes[1]], level)
             found.append((tables[plane * entries + level.offset + index] * weight[..., None]).sum(1))
     return torch.cat(found, dim=-1)
 
 
-def _corners(uv: Float[Tensor, "N 2"], level: Level) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
+def _corners(
+    u: Float[Tensor, " N"], v: Float[Tensor, " N"], level: Level
+) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
     """Table entries of the four grid vertices around each point, and their bilinear weights."""
-    position = uv * level.scale + 0.5
+    position = torch.stack((u, v), dim=-1) * level.scale + 0.5
     cell = position.floor()
     fraction = position - cell
-    corner = torch.tensor([[0, 0], [1, 0], [0, 1], [1, 1]], device=uv.device)
-    vertex = cell.long()[:, None] + corner
-    weight = torch.where(corner == 1, fraction[:, None], 1 - fraction[:, None]).prod(-1)
+    weights, first = torch.stack((1 - fraction, fraction), dim=-1), cell.long()
+    vertices = torch.stack((first, first + 1), dim=-1)
+    weight = (weights[:, 0, None, :] * weights[:, 1, :, None]).flatten(1)  # (0, 0), (1, 0), (0, 1), (1, 1)
+    across, down = vertices[:, 0, None, :], vertices[:, 1, :, None]
     if level.hashed:
-        return (vertex[..., 0] ^ (vertex[..., 1] * PRIME)) % level.size, weight
-    return vertex[..., 0] + vertex[..., 1] * level.side, weight
+        return (across ^ (down * PRIME)).flatten(1) % level.size, weight
+    return (across + down * level.side).flatten(1), weight
 
 
 class _CompiledLookup(torch.autograd.Function):

@@ -65,7 +65,7 @@ class SkeletonDriver:
         """The skeleton posed by a drive, without the drive's translation."""
         correctives = shape_coefficients(drive) - shape_coefficients(self.canonical)
         rotations, offsets = self.head.joint_transforms(self.canonical)
-        still, rest = torch.eye(3).to(rotations), torch.zeros(3).to(rotations)
+        still, rest = torch.eye(3, dtype=rotations.dtype, device=rotations.device), rotations.new_zeros(3)
         canonical = self._bones((still, rest), (rotations, offsets))
         rotations, offsets = self.head.joint_transforms(drive)
         if self.poses.in_camera:
@@ -105,5 +105,5 @@ def expression_coefficients(drive: Drive) -> Float[Tensor, " E"]:
 def shape_coefficients(drive: Drive) -> Float[Tensor, " B"]:
     """vec(R − I) of all joints but the root, then the coefficients of expressions and eyelids."""
     rotations = axis_angle_to_matrix(drive.joint_rotations[1:])
-    feature = (rotations - torch.eye(3).to(rotations)).flatten()
+    feature = (rotations - torch.eye(3, dtype=rotations.dtype, device=rotations.device)).flatten()
     return torch.cat((feature, expression_coefficients(drive)))

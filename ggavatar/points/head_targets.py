@@ -25,12 +25,14 @@ class HeadTargets:
 
     Attributes:
         tree: Search tree of the vertices in the canonical pose.
+        places: These vertices, for devices on which a search tree would wait for the host.
         blendshapes: Pose correctives, then expressions, then eyelids.
         weights: Skinning weights: 0 for the static joint, then those of the head's joints.
         variances: Variance of every expression and eyelid coefficient over the training frames.
     """
 
     tree: cKDTree
+    places: Float[Tensor, "V 3"]
     blendshapes: Float[Tensor, "V B 3"]
     weights: Float[Tensor, "V J"]
     variances: Float[Tensor, " E"]
@@ -55,10 +57,12 @@ class HeadTargets:
         least = (0.01 * variances.mean()).clamp_min(1e-6)  # a constant coefficient would get an unbounded weight
         tree = cKDTree((vertices * unit).double().cpu().numpy())
         weights = torch.cat((still, head.skinning_weights), dim=1)
-        return HeadTargets(tree, shapes.transpose(1, 2), weights, variances.clamp_min(least))
+        return HeadTargets(tree, vertices * unit, shapes.transpose(1, 2), weights, variances.clamp_min(least))
 
     def nearest(self, points: Float[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Index of the vertex nearest to every point in the canonical pose."""
+        if points.device.type == "cuda":
+            return torch.cdist(points.detach(), self.places).argmin(1)
         found = self.tree.query(points.detach().double().cpu().numpy())[1]
         return torch.from_numpy(np.asarray(found)).to(points.device)
 

@@ -66,6 +66,13 @@ class PointCloud(nn.Module):
         first = radius_factor * SHRINKING ** torch.log2(torch.tensor(count / 100, dtype=torch.float64))
         self.register_buffer("radius", first)
 
+    def _apply(self, fn: Any, recurse: bool = True) -> Any:
+        """Move everything but the radius, as `to` does: the host reads it in every step."""
+        radius = self.radius
+        super()._apply(fn, recurse)
+        self.radius = radius
+        return self
+
     @property
     def points(self) -> Tensor:
         """Positions, in the unit of the points."""

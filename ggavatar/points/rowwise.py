@@ -53,10 +53,17 @@ class _Rowwise(torch.autograd.Function):
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         tensors, needed = ctx.saved_tensors, ctx.needs_input_grad[3:]
         found = [torch.zeros_like(tensor) if wanted else None for tensor, wanted in zip(tensors, needed, strict=True)]
-        matters = torch.stack([(gradient.flatten(1) != 0).any(1) for gradient in upstream]).any(0)
-        for index in torch.nonzero(matters)[:, 0].split(_block_size(tensors[0])):
+        for index in _rows_with_gradient(upstream).split(_block_size(tensors[0])):
             _block_backward(ctx, tensors, needed, (index, [gradient[index] for gradient in upstream]), found)
         return None, None, None, *found
+
+
+def _rows_with_gradient(upstream: Sequence[Tensor]) -> Tensor:
+    """Indices of the rows that have a gradient; on CUDA of all rows, because the host would wait to count them."""
+    if upstream[0].device.type == "cuda":
+        return torch.arange(len(upstream[0]), device=upstream[0].device)
+    matters = torch.stack([(gradient.flatten(1) != 0).any(1) for gradient in upstream]).any(0)
+    return torch.nonzero(matters)[:, 0]
 
 
 def _block_size(rows: Tensor) -> int:

@@ -44,7 +44,8 @@ def deform(
     inverse = inverse_3x3(back)
     rest = _times(inverse, points + deformation.offsets - start)
     shaped = rest + deformation.correctives
-    moved = deformation.offset_tangents + torch.eye(3).to(points) - start_slope - _times(back_slope, rest[:, None])
+    identity = torch.eye(3, dtype=points.dtype, device=points.device)
+    moved = deformation.offset_tangents + identity - start_slope - _times(back_slope, rest[:, None])
     shaped_slope = _times(inverse[:, None], moved) + deformation.corrective_tangents
     tangents = _times(to_slope, shaped[:, None]) + _times(to[:, None], shaped_slope) + end_slope
     return DeformedPoints(_times(to, shaped) + end, tangents)

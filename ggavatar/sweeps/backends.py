@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 import subprocess
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Protocol, runtime_checkable
 
 from ggavatar.errors import (
@@ -38,12 +40,13 @@ class CellTraining:
 
     Attributes:
         name: Name of the cell, for messages; unique.
-        train: Trains the cell, or resumes an earlier attempt, and returns the exit code. It is sent to other processes:
-            a module-level function, or a `functools.partial` of one.
+        train: Trains the cell, or resumes an earlier attempt, and returns the exit code; called with `gpu=…` to run on
+            one device of several. It is sent to other processes: a module-level function, or a `functools.partial` of
+            one.
     """
 
     name: str
-    train: Callable[[], int]
+    train: Callable[..., int]
 
 
 @dataclass(frozen=True)
@@ -79,16 +82,20 @@ class LocalProcesses:
     Attributes:
         parallel: Number of cells trained at the same time.
         retries: How often a training that failed is started again.
+        gpus: CUDA devices, as in $CUDA_VISIBLE_DEVICES; a cell sees one, and cells that run at the same time see
+            different ones as long as there are enough. Without any, cells see what this process sees.
     """
 
     parallel: int = 1
     retries: int = 0
+    gpus: tuple[str, ...] = ()
 
     def run(self, trainings: Sequence[CellTraining]) -> Iterator[Outcome]:
         """Run the trainings on a pool of threads, each of which waits for one process at a time."""
         pool = ThreadPoolExecutor(max(self.parallel, 1), thread_name_prefix="sweep")
         try:
-            futures = [pool.submit(run_with_retries, training, self.retries) for training in trainings]
+            free = free_gpus(self.gpus, max(self.parallel, 1))
+            futures = [pool.submit(_run_on_a_gpu, training, self.retries, free) for training in trainings]
             for future in as_completed(futures):
                 yield future.result()
         except Terminated:  # Ctrl-C reaches the trainings by itself, since it goes to all processes of a terminal
@@ -104,12 +111,13 @@ class RayCluster:
     """Trains cells on a Ray cluster: that of $RAY_ADDRESS or `ray start`, else a new one on this computer.
 
     Attributes:
-        gpus: GPUs of a cell; it is started where as many are free, and sees only these.
+        gpus: GPUs of a cell; it is started where as many are free, and sees only these. None is one if a machine of
+            the cluster has any, else none.
         cpus: Cores of a cell.
         retries: How often a training that failed is started again.
     """
 
-    gpus: float = 0.0
+    gpus: float | None = None
     cpus: float = 1.0
     retries: int = 0
 
@@ -124,23 +132,27 @@ class RayCluster:
         if is_new:
             ray.init(include_dashboard=False, log_to_driver=False, logging_level="warning")
         try:
-            self._check_resources(ray)
-            options = {"num_gpus": self.gpus, "num_cpus": self.cpus, "max_retries": LOST_MACHINE_RETRIES}
+            gpus = self._gpus_of_a_cell(ray)
+            options = {"num_gpus": gpus, "num_cpus": self.cpus, "max_retries": LOST_MACHINE_RETRIES}
             task = ray.remote(**options)(run_with_retries)
             yield from _as_completed(ray, {task.remote(training, self.retries): training for training in trainings})
         finally:
             if is_new:
                 ray.shutdown()
 
-    def _check_resources(self, ray: Any) -> None:
-        """Raise an `InputError` if no machine is large enough: Ray would wait for one forever."""
+    def _gpus_of_a_cell(self, ray: Any) -> float:
+        """GPUs to ask for, or an `InputError` if no machine is large enough: Ray would wait for one forever."""
         nodes = [node.get("Resources", {}) for node in ray.nodes() if node.get("Alive")]
-        if not any(node.get("GPU", 0) >= self.gpus and node.get("CPU", 0) >= self.cpus for node in nodes):
+        gpus = self.gpus
+        if gpus is None:
+            gpus = 1.0 if any(node.get("GPU", 0) >= 1 for node in nodes) else 0.0
+        if not any(node.get("GPU", 0) >= gpus and node.get("CPU", 0) >= self.cpus for node in nodes):
             largest = {kind: max((node.get(kind, 0) for node in nodes), default=0) for kind in ("GPU", "CPU")}
             raise InputError(
-                f"expected a machine with {self.gpus:g} GPUs and {self.cpus:g} cores for a cell, found up to "
+                f"expected a machine with {gpus:g} GPUs and {self.cpus:g} cores for a cell, found up to "
                 f"{largest['GPU']:g} GPUs and {largest['CPU']:g} cores in the cluster; request fewer or add machines"
             )
+        return gpus
 
 
 def _import_ray() -> Any:
@@ -175,6 +187,25 @@ def _outcome(ray: Any, reference: Any, training: CellTraining) -> Outcome:
     return outcome
 
 
+def free_gpus(gpus: Sequence[str], parallel: int) -> SimpleQueue[str]:
+    """A place for every cell that runs at the same time: each device once, then again, if there are more cells."""
+    places: SimpleQueue[str] = SimpleQueue()
+    for number in range(max(parallel, len(gpus)) if gpus else 0):
+        places.put(gpus[number % len(gpus)])
+    return places
+
+
+def _run_on_a_gpu(training: CellTraining, retries: int, free: SimpleQueue[str]) -> Outcome:
+    """`run_with_retries` on a device that no other cell uses, if there are devices."""
+    if free.empty():
+        return run_with_retries(training, retries)
+    gpu = free.get()
+    try:
+        return run_with_retries(CellTraining(training.name, functools.partial(training.train, gpu=gpu)), retries)
+    finally:
+        free.put(gpu)
+
+
 def run_with_retries(training: CellTraining, retries: int) -> Outcome:
     """Run a training until it succeeds, cannot succeed, or has used up its retries; an exception is a failure too."""
     for attempt in range(1, retries + 2):
@@ -188,17 +219,18 @@ def run_with_retries(training: CellTraining, retries: int) -> Outcome:
     raise ValueError(f"expected retries of 0 or more, got {retries}")
 
 
-def run_logged(command: Sequence[str], log: Path, cores: int | None = None) -> int:
+def run_logged(command: Sequence[str], log: Path, cores: int | None = None, gpu: str | None = None) -> int:
     """Run a program, append its output to a log, and return its exit code (128 + signal if a signal ended it).
 
     Args:
         command: Program and arguments.
         log: The log file.
         cores: Number of threads for OpenMP and Numba, unless the user's environment sets it; None sets nothing.
+        gpu: The CUDA device that it sees; None leaves what this process sees.
     """
     make_folder(log.parent)
     share = {} if cores is None else {name: str(cores) for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")}
-    environment = share | dict(os.environ)
+    environment = share | dict(os.environ) | ({} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu})
     with log.open("a") as stream:
         process = subprocess.Popen(
             list(command), stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, env=environment

@@ -63,7 +63,13 @@ class Cell:
         return dataclasses.replace(self, folder=self.folder.with_name(self.folder.name + "-pilot"))
 
 
-def train_cell(cell: Cell, flags: tuple[str, ...], minutes: float | None = None, cores: int | None = None) -> int:
+def train_cell(
+    cell: Cell,
+    flags: tuple[str, ...],
+    minutes: float | None = None,
+    cores: int | None = None,
+    gpu: str | None = None,
+) -> int:
     """Train or resume a cell in a process of its own, log its output beside its folder, and return the exit code.
 
     Args:
@@ -71,16 +77,17 @@ def train_cell(cell: Cell, flags: tuple[str, ...], minutes: float | None = None,
         flags: For ggavatar-train.
         minutes: Wall time that determines the number of steps of a new cell, after a pilot on this machine.
         cores: As for `run_logged`.
+        gpu: As for `run_logged`.
     """
     if minutes is not None and not cell.has_begun:
         pilot = cell.pilot
         result = fitting_steps(
-            minutes, pilot.folder, lambda more: run_logged(pilot.command((*flags, *more)), cell.log, cores)
+            minutes, pilot.folder, lambda more: run_logged(pilot.command((*flags, *more)), cell.log, cores, gpu)
         )
         if result.code:
             return result.code
         flags = (*flags, "--steps", str(result.steps))
-    return run_logged(cell.command(flags), cell.log, cores)
+    return run_logged(cell.command(flags), cell.log, cores, gpu)
 
 
 def find_console_script(name: str) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from ggavatar.text.terminal import write_out
@@ -22,8 +23,8 @@ LIVE_INTERVAL = 0.25
 class Listener(Protocol):
     """Receives the events of a training."""
 
-    def step(self, step: int, loss: float, gaussians: int) -> None:
-        """A step is done."""
+    def step(self, step: int, loss: Callable[[], float], gaussians: int) -> None:
+        """A step is done; `loss` reads its loss, which waits for the device."""
         ...
 
     def evaluated(self, step: int, psnr: float) -> None:
@@ -38,7 +39,7 @@ class Listener(Protocol):
 class NullListener:
     """A listener that prints nothing."""
 
-    def step(self, step: int, loss: float, gaussians: int) -> None:
+    def step(self, step: int, loss: Callable[[], float], gaussians: int) -> None:
         """Do nothing."""
 
     def evaluated(self, step: int, psnr: float) -> None:
@@ -58,13 +59,13 @@ class ConsoleListener:
         self._psnr: float | None = None
         self._live = _start_live_line() if sys.stdout.isatty() else None
 
-    def step(self, step: int, loss: float, gaussians: int) -> None:
+    def step(self, step: int, loss: Callable[[], float], gaussians: int) -> None:
         """Show the state after a step, at most a few times a second."""
         now = time.monotonic()
         if step < self._total and now - self._last_output < (LIVE_INTERVAL if self._live else PLAIN_INTERVAL):
             return
         self._last_output = now
-        text = self._text(step, loss, gaussians)
+        text = self._text(step, loss(), gaussians)
         if self._live:
             self._live.update(text, refresh=True)
         else:

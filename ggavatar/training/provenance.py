@@ -43,7 +43,8 @@ def provenance_of(config: RunConfig, capture: Capture, split: Split) -> dict[str
 
 def outcome_of(trainer: Trainer, done: int) -> dict[str, Any]:
     """What is known after the last step: steps, time, peak memory, and the notes of the method."""
-    on_gpu = torch.cuda.max_memory_allocated() >> 20 if torch.cuda.is_available() else None
+    device = trainer.background.device
+    on_gpu = torch.cuda.max_memory_allocated(device) >> 20 if device.type == "cuda" else None
     notes = trainer.avatar.notes() if hasattr(trainer.avatar, "notes") else {}
     return {
         "finished": done >= trainer.plan.steps,

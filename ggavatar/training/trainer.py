@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -27,13 +28,10 @@ from ggavatar.training.checkpoint import (
     unpack_avatar,
     unpack_optimizers,
 )
+from ggavatar.training.finite_guard import DeviceGuard, FiniteGuard, clear_if, step_unless
 from ggavatar.training.journal import Journal
 from ggavatar.training.plan import TrainingPlan
 from ggavatar.training.progress import Listener
-
-
-class TrainingError(RuntimeError):
-    """The training cannot continue; the last checkpoint is intact."""
 
 
 class StopSignals:
@@ -60,50 +58,6 @@ class StopSignals:
         if self.received is not None:
             raise KeyboardInterrupt
         self.received = number
-
-
-@dataclass
-class FiniteGuard:
-    """Skips steps whose loss or gradient is not finite, and stops the training after too many of them.
-
-    Attributes:
-        limit: Number of skipped steps at which the training stops.
-        count: Steps skipped so far.
-    """
-
-    limit: int
-    count: int = 0
-
-    def passes(self, step: int, terms: Mapping[str, Tensor], avatar: torch.nn.Module) -> bool:
-        """Whether all loss terms and gradients are finite; call it after the backward pass.
-
-        Raises:
-            TrainingError: The limit is reached.
-        """
-        source = _find_not_finite(terms, avatar)
-        if source is None:
-            return True
-        self.count += 1
-        if self.count >= self.limit:
-            raise TrainingError(
-                f"step {step}: {source} is not finite; this has happened {self.count} times. Common causes: tracking "
-                "that puts the head behind the camera or far away (run ggavatar-doctor on the capture), a learning "
-                "rate that is too high, an empty mask. Earlier checkpoints are intact."
-            )
-        return False
-
-
-def _find_not_finite(terms: Mapping[str, Tensor], avatar: torch.nn.Module) -> str | None:
-    for name, value in terms.items():
-        if not math.isfinite(value.item()):
-            return f"loss term {name!r}"
-    gradients = {name: parameter.grad for name, parameter in avatar.named_parameters() if parameter.grad is not None}
-    sums = torch.stack([gradient.sum() for gradient in gradients.values()]) if gradients else torch.zeros(0)
-    if bool(torch.isfinite(sums).all()):
-        return None
-    return "the gradient of " + next(
-        name for name, total in zip(gradients, sums.tolist(), strict=True) if not math.isfinite(total)
-    )
 
 
 @dataclass
@@ -152,20 +106,25 @@ class Trainer:
             TrainingError: Losses or gradients are not finite too often.
             OSError: A checkpoint cannot be written.
         """
-        guard = FiniteGuard(self.plan.bad_steps)
+        device = self.background.device
+        guard = DeviceGuard(self.plan.bad_steps, device) if device.type == "cuda" else FiniteGuard(self.plan.bad_steps)
         for name in ("checkpoints", "metrics"):
             make_folder(self.folder / name)
         train_log, eval_log = (Journal(self.folder / "metrics" / name, done) for name in ("train.jsonl", "eval.jsonl"))
         started, before = time.monotonic(), self.seconds
         saved = done
         stream = self.frames.stream(self._requests(done + 1))
+        waiting = Stopwatch()
         try:
             self.avatar.train()
-            for step, frame in enumerate(stream, done + 1):
+            for step, frame in enumerate(waiting.around(stream), done + 1):
                 rendering, terms = self._step(step, frame, guard)
                 done = step
                 self.seconds = before + time.monotonic() - started
-                self._report(step, frame, rendering, terms, train_log)
+                if step % self.plan.log_every == 0 or step == self.plan.steps:
+                    values = _read_terms(step, terms, guard)
+                    self._log(step, frame, len(rendering.radii), values, waiting.take(), train_log)
+                self.listener.step(step, _total(terms), len(rendering.radii))
                 if _is_due(step, self.plan.eval_every, self.plan.steps):
                     self._evaluate(step, eval_log)
                 if _is_due(step, self.plan.save_every, self.plan.steps) or stop.received is not None:
@@ -195,14 +154,19 @@ class Trainer:
         for step, number in zip(range(first, self.plan.steps + 1), order, strict=False):
             yield number, *self.plan.size_at(step, camera.width, camera.height)
 
-    def _step(self, step: int, frame: Frame, guard: FiniteGuard) -> tuple[Rendering, Mapping[str, Tensor]]:
+    def _step(
+        self, step: int, frame: Frame, guard: FiniteGuard | DeviceGuard
+    ) -> tuple[Rendering, Mapping[str, Tensor]]:
         """One update: render, compute the losses, step the optimizers, then let the method change its rows."""
         avatar = self.avatar
         rendering = self.rasterize(avatar.gaussians(frame.drive), frame.camera, self.background)
         terms = avatar.losses(frame, rendering, step)
-        torch.stack(list(terms.values())).sum().backward()
+        loss = torch.stack(list(terms.values())).sum()
+        loss.backward()
         optimizers = avatar.optimizers()
-        if guard.passes(step, terms, avatar):
+        if isinstance(guard, DeviceGuard):
+            self._update_unless(guard.mark(loss, avatar), rendering, step)
+        elif guard.passes(step, terms, avatar):
             for optimizer in optimizers:
                 step_with_rate_factor(optimizer, self.plan.rate_factor(step))
             avatar.after_backward(rendering, step)
@@ -210,25 +174,28 @@ class Trainer:
             optimizer.zero_grad(set_to_none=True)
         return rendering, terms
 
-    def _report(self, step: int, frame: Frame, rendering: Rendering, terms: Mapping[str, Tensor], log: Journal) -> None:
-        """Log the loss terms by name and notify the listener."""
-        values = {name: value.item() for name, value in terms.items()}
-        loss = sum(values.values())
-        count = len(rendering.radii)
-        if step % self.plan.log_every == 0 or step == self.plan.steps:
-            finite = {name: value if math.isfinite(value) else None for name, value in values.items()}
-            size = f"{frame.camera.width}x{frame.camera.height}"
-            log.write(
-                {
-                    "step": step,
-                    "frame": frame.drive.frame,
-                    "size": size,
-                    "terms": finite,
-                    "gaussians": count,
-                    "seconds": self.seconds,
-                }
-            )
-        self.listener.step(step, loss, count)
+    def _update_unless(self, is_bad: Tensor, rendering: Rendering, step: int) -> None:
+        """The update on a device, which leaves it out by itself where `is_bad` is 1; statistics get nothing then."""
+        for optimizer in self.avatar.optimizers():
+            step_with_rate_factor(optimizer, self.plan.rate_factor(step), functools.partial(step_unless, is_bad))
+        clear_if(is_bad, rendering.radii)  # nothing was visible, so that density control learns nothing
+        self.avatar.after_backward(rendering, step)
+
+    def _log(
+        self, step: int, frame: Frame, count: int, values: Mapping[str, float], waited: float, log: Journal
+    ) -> None:
+        """Log the loss terms by name, and how long the steps since the last line waited for their frames, s."""
+        log.write(
+            {
+                "step": step,
+                "frame": frame.drive.frame,
+                "size": f"{frame.camera.width}x{frame.camera.height}",
+                "terms": {name: value if math.isfinite(value) else None for name, value in values.items()},
+                "gaussians": count,
+                "seconds": self.seconds,
+                "waited": round(waited, 6),
+            }
+        )
 
     @torch.no_grad()
     def _evaluate(self, step: int, log: Journal) -> None:
@@ -246,12 +213,56 @@ class Trainer:
         self.listener.evaluated(step, psnr)
 
 
-def step_with_rate_factor(optimizer: torch.optim.Optimizer, factor: float) -> None:
+class Stopwatch:
+    """Time spent on waiting for the elements of an iterator."""
+
+    def __init__(self) -> None:
+        self._seconds = 0.0
+
+    def around(self, elements: Iterator[Frame]) -> Iterator[Frame]:
+        """The elements, each waited for on the clock."""
+        while True:
+            began = time.monotonic()
+            element = next(elements, None)
+            self._seconds += time.monotonic() - began
+            if element is None:
+                return
+            yield element
+
+    def take(self) -> float:
+        """Seconds since the last call."""
+        taken, self._seconds = self._seconds, 0.0
+        return taken
+
+
+def _read_terms(step: int, terms: Mapping[str, Tensor], guard: FiniteGuard | DeviceGuard) -> dict[str, float]:
+    """The loss terms as numbers; with one wait for a device, on which its count of bad steps is read too.
+
+    Raises:
+        TrainingError: The device has counted too many.
+    """
+    if not isinstance(guard, DeviceGuard):
+        return {name: value.item() for name, value in terms.items()}
+    *values, with_loss, with_gradient = torch.cat((torch.stack(list(terms.values())).detach(), guard.counts)).tolist()
+    guard.check(step, (with_loss, with_gradient))
+    return dict(zip(terms, values, strict=True))
+
+
+def _total(terms: Mapping[str, Tensor]) -> Callable[[], float]:
+    """The loss, read when it is asked for: a listener that shows no number does not wait for a device."""
+    return lambda: sum(value.item() for value in terms.values())
+
+
+def step_with_rate_factor(
+    optimizer: torch.optim.Optimizer,
+    factor: float,
+    take_step: Callable[[torch.optim.Optimizer], object] = lambda one: one.step(),
+) -> None:
     """One step at `factor` times the optimizer's learning rates, which are unchanged afterwards."""
     rates = [group["lr"] for group in optimizer.param_groups]
     for group, rate in zip(optimizer.param_groups, rates, strict=True):
         group["lr"] = factor * rate
-    optimizer.step()
+    take_step(optimizer)
     for group, rate in zip(optimizer.param_groups, rates, strict=True):
         group["lr"] = rate
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ggavatar.core import Camera, Gaussians, Rendering
+from ggavatar.jit.constants import constant_like
 from ggavatar.render.constants import NEAR
 
 NEAREST = 10
@@ -72,6 +73,6 @@ def project_discs(
     k = camera.intrinsics.to(means)
     means2d = torch.stack((k[0, 0] * right / safe + k[0, 2], k[1, 1] * down / safe + k[1, 2]), dim=-1)
     reach = radius_in_pixels(radius, camera)
-    center, size = means2d.detach(), means2d.new_tensor([camera.width, camera.height])
+    center, size = means2d.detach(), constant_like((camera.width, camera.height), means2d)
     inside = ((center + reach > 0) & (center - reach < size)).all(-1) & (depths.detach() > NEAR)
     return means2d, depths, torch.where(inside, reach, 0.0).to(means.dtype)

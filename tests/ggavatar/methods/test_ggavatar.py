@@ -17,6 +17,7 @@ from ggavatar.data.capture import Capture
 from ggavatar.data.frames import drives_and_cameras
 from ggavatar.data.scene import Scene
 from ggavatar.head.model import HeadModel
+from ggavatar.head.region_boxes import RegionBoxes
 from ggavatar.losses import vgg_term
 from ggavatar.methods import ggavatar, ggavatar_plus
 from ggavatar.methods.ggavatar import Config, GGAvatar
@@ -216,7 +217,7 @@ def plus(scene: Scene, **changes: Any) -> ggavatar_plus.GGAvatarPlus:
 
 def test_regions_weigh_as_much_again_as_in_the_image_loss(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """1.0 × (1 − λ1) × L1 summed over the boxes per pixel of the image, in closed form, after the neutral phase."""
-    monkeypatch.setattr(ggavatar_plus, "region_boxes", lambda head, frame: [(10.0, 12.0, 19.0, 17.0)])
+    monkeypatch.setattr(RegionBoxes, "of", lambda self, frame: [(10.0, 12.0, 19.0, 17.0)])
     image, target, alpha = torch.full((48, 48, 3), 0.75), torch.full((48, 48, 3), 0.5), torch.ones(48, 48, 1)
     avatar = plus(scene)
     drawn = rendering_of(image, alpha, len(avatar.avatar.rows))

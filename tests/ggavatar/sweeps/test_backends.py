@@ -22,6 +22,7 @@ from ggavatar.sweeps.backends import (
     LocalProcesses,
     Outcome,
     RayCluster,
+    free_gpus,
     run_logged,
     run_with_retries,
 )
@@ -203,3 +204,47 @@ def test_a_log_that_exists_is_added_to(tmp_path: Path) -> None:
     for word in ("one", "two"):
         assert run_logged([sys.executable, "-c", f"print({word!r})"], tmp_path / "new" / "x.log") == 0
     assert (tmp_path / "new" / "x.log").read_text() == "one\ntwo\n"
+
+
+RECORD = (
+    "import os, pathlib, sys, time\n"
+    "pathlib.Path(sys.argv[1]).write_text(os.environ['CUDA_VISIBLE_DEVICES'])\n"
+    "time.sleep(0.3)\n"
+)
+
+
+def test_cells_that_run_side_by_side_see_different_gpus(tmp_path: Path) -> None:
+    """Two devices: of four cells, two at a time, each sees one, and both are used."""
+    trainings = [program(tmp_path, f"cell-{number}", RECORD, tmp_path / f"seen-{number}") for number in range(4)]
+    assert [outcome.code for outcome in LocalProcesses(2, gpus=("3", "GPU-8f")).run(trainings)] == [0] * 4
+    seen = [(tmp_path / f"seen-{number}").read_text() for number in range(4)]
+    assert set(seen[:2]) == {"3", "GPU-8f"} and set(seen) == {"3", "GPU-8f"}
+
+
+def test_cells_share_gpus_evenly_if_there_are_too_few() -> None:
+    places = free_gpus(("0", "1"), 5)
+    assert [places.get() for _ in range(places.qsize())] == ["0", "1", "0", "1", "0"]
+    assert free_gpus((), 5).empty()
+
+
+def test_gpus_are_those_that_the_sweep_sees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, 5")
+    assert sweep.visible_gpus(arguments(tmp_path, tmp_path, jobs=2)) == ("2", "5")
+    assert sweep.visible_gpus(arguments(tmp_path, tmp_path, jobs=2, device="cpu")) == ()
+    assert sweep.visible_gpus(arguments(tmp_path, tmp_path)) == ()
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 3)
+    assert sweep.visible_gpus(arguments(tmp_path, tmp_path, jobs=2, device="cuda")) == ("0", "1", "2")
+
+
+def test_a_ray_cell_asks_for_a_gpu_where_there_is_one(tmp_path: Path) -> None:
+    class Cluster:
+        def __init__(self, gpus: int) -> None:
+            self.gpus = gpus
+
+        def nodes(self) -> list[dict[str, object]]:
+            return [{"Alive": True, "Resources": {"CPU": 4, "GPU": self.gpus}}]
+
+    assert [RayCluster()._gpus_of_a_cell(Cluster(count)) for count in (0, 1, 8)] == [0.0, 1.0, 1.0]
+    assert RayCluster(0.5)._gpus_of_a_cell(Cluster(1)) == 0.5
+    assert sweep.make_backend(arguments(tmp_path, tmp_path, backend="ray", device="cpu")) == RayCluster(0.0, 1.0, 0)

@@ -18,7 +18,7 @@ def test_plain_lines_come_at_intervals_and_at_the_end(
         now[0] += 1.0
         if step == 50:
             line.evaluated(step, 27.125)
-        line.step(step, 0.5, 1234)
+        line.step(step, lambda: 0.5, 1234)
     line.close()
     shown = capsys.readouterr().out.splitlines()
     assert len(shown) == 10

@@ -23,10 +23,11 @@ from ggavatar.errors import InputError
 from ggavatar.io.json_files import write_json
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import complete_steps, load_checkpoint
+from ggavatar.training.finite_guard import FiniteGuard, TrainingError
 from ggavatar.training.journal import read_journal
 from ggavatar.training.run_folder import open_run, write_config
 from ggavatar.training.session import TrainingInterrupted, configure, make_trainer, train_run
-from ggavatar.training.trainer import FiniteGuard, StopSignals, Trainer, TrainingError
+from ggavatar.training.trainer import StopSignals, Trainer
 
 OPTIONS: dict[str, Any] = {"steps": 60, "eval_every": 0, "save_every": 25, "max_gaussians": 400, "device": "cpu"}
 """At this length density control works every 10 steps from step 10 to 30."""

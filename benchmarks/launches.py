@@ -1,0 +1,61 @@
+"""Kernel launches and host-device synchronizations of every method, counted on a pretended CUDA device.
+
+Nothing is timed, and no GPU is needed. A step is a steady one: not a round of density control, a logged step, a
+checkpoint or an evaluation, and of a frame that was trained on before. A frame is rendered as evaluation does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from benchmarks.pretended.capture import FRAMES, write_capture
+from benchmarks.pretended.device import pretended_cuda
+from benchmarks.pretended.rasterizers import RASTERIZER
+from benchmarks.pretended.training import Counts, count_frame, make_pretended_trainer, train_counted
+from ggavatar.data.capture import Capture
+from ggavatar.training import registry
+
+FIRST = "ggavatar"
+"""The method whose counts are also at the top of the result."""
+STEPS = FRAMES + 4
+
+
+def methods() -> list[str]:
+    """Every method, without variants."""
+    stems = {path.stem for path in registry.METHODS_FOLDER.glob("*.py")}
+    return [name for name in registry.names() if name in stems]
+
+
+def count(method: str, capture: Capture, folder: Path) -> dict[str, Any]:
+    """Counts of a method with the settings of its paper."""
+    with pretended_cuda() as tally:
+        trainer = make_pretended_trainer(method, capture, folder, {"preset": "paper", "steps": STEPS})
+        set_up = Counts.of(tally)
+        step = train_counted(trainer, tally).steps[STEPS - 1]
+        frame = count_frame(trainer, tally)
+    return {
+        "launches_per_step": step.launches,
+        "syncs_per_step": step.syncs,
+        "launches_per_frame": frame.launches,
+        "syncs_per_frame": frame.syncs,
+        "launches_of_set_up": set_up.launches,
+        "syncs_of_set_up": set_up.syncs,
+        "waits": step.places | frame.places,
+    }
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """Count all methods, or the first one."""
+    names = [FIRST] if options.quick else methods()
+    with tempfile.TemporaryDirectory() as folder:
+        capture = write_capture(Path(folder) / "capture")
+        found = {name: count(name, capture, Path(folder) / name) for name in names}
+    top = {name: value for name, value in found[FIRST].items() if name.endswith(("_per_step", "_per_frame"))}
+    note = {
+        "device": "pretended: nothing is timed",
+        "rasterizer": f"a stand-in, counted as {RASTERIZER.forward} launch forward and {RASTERIZER.backward} backward",
+    }
+    return top | {"counted_on": note, "methods": found}
