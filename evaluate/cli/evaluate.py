@@ -32,6 +32,7 @@ from evaluate.tables.write import build_tables, write_copies, write_tables
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
+from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.source_options import is_gaussian_file, results_folder
 from ggavatar.io.atomic import remove_partial_files
 from ggavatar.io.folder_lock import lock_folder, lock_output
@@ -192,7 +193,8 @@ def _collect(options: Options) -> tuple[list[Evaluated], list[Path]]:
     found: list[Evaluated] = []
     written: list[Path] = []
     for path in options.runs:
-        if not is_gaussian_file(path) and (path.is_file() or (path / METRICS_FILE).is_file()):
+        is_avatar = is_gaussian_file(path) or is_avatar_file(path)
+        if not is_avatar and (path.is_file() or (path / METRICS_FILE).is_file()):
             found.append(_stored(path))
             continue
         from evaluate.scoring.run import evaluate_run

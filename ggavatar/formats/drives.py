@@ -1,4 +1,4 @@
-"""Drives for which an avatar is exported: neutral, those of frames of its capture, or those of a parameter file."""
+"""Drives for which an avatar is exported: neutral, or those of frames of its capture."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def _head_tensors(run: Run) -> dict[str, Tensor]:
 def _scores(run: Run, finder: ModelFinder) -> np.ndarray | None:
     """Expression scores of the training frames, NaN elsewhere; they are what drivers with other heads are matched to.
 
-    An avatar whose own are in the way is one of a file, whose scores are taken over.
+    An avatar that was opened from a file keeps those of the file.
     """
     found = measured_scores(run.capture, run.split.train, finder)
     if found is None:

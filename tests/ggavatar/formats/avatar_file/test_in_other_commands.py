@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from evaluate.cli import evaluate as evaluating
 from evaluate.cli import render as command
 from evaluate.options import Options
 from evaluate.scoring.run import evaluate_run
@@ -41,7 +42,13 @@ def file(toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     return tmp_path / "me.ggavatar"
 
 
-def test_a_file_is_not_scored_but_says_how_its_pictures_are(file: Path) -> None:
+def test_a_file_is_not_scored_but_says_how_its_pictures_are(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["ggavatar-eval", str(file), "--device", "cpu"])
+    assert evaluating.main() == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no photographs" in line and "--pred OUT/frames --capture" in line
     with pytest.raises(InputError, match=r"no photographs.*--pred OUT/frames --capture"):
         evaluate_run(file, Options(runs=(file,)), SilentReporter())
 
