@@ -67,7 +67,7 @@ class SnapshotListener:
         self._due = clock()
         self._is_broken = False
 
-    def step(self, step: int, loss: float, gaussians: int) -> None:
+    def step(self, step: int, loss: Callable[[], float], gaussians: int) -> None:
         """Pass the step on, and write a snapshot if one is due."""
         self._inner.step(step, loss, gaussians)
         now = self._clock()

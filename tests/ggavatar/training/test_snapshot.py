@@ -5,6 +5,7 @@ Reference: the avatar's state, and a clock that the test moves.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ class Noting(NullListener):
     def __init__(self) -> None:
         self.events: list[Any] = []
 
-    def step(self, step: int, loss: float, gaussians: int) -> None:
+    def step(self, step: int, loss: Callable[[], float], gaussians: int) -> None:
         self.events.append(step)
 
     def evaluated(self, step: int, psnr: float) -> None:
@@ -77,7 +78,7 @@ def test_one_is_written_at_once_and_then_every_interval(tmp_path: Path) -> None:
     assert isinstance(listener, Listener)
     steps = []
     for step in range(1, 8):
-        listener.step(step, 0.0, 1)
+        listener.step(step, lambda: 0.0, 1)
         read = read_snapshot(tmp_path)
         assert read is not None
         steps.append(read[1])
@@ -92,12 +93,12 @@ def test_snapshots_take_a_hundredth_of_the_time_at_most(tmp_path: Path) -> None:
     clock = Clock()
     listener = SnapshotListener(NullListener(), avatar(), tmp_path, clock)
     clock.per_reading = 2.0  # a snapshot takes two seconds
-    listener.step(1, 0.0, 1)
+    listener.step(1, lambda: 0.0, 1)
     written = clock.now
     clock.per_reading = 0.0
     for seconds, expected in ((199.0, 1), (201.0, 3)):
         clock.now = written + seconds
-        listener.step(2 if expected == 1 else 3, 0.0, 1)
+        listener.step(2 if expected == 1 else 3, lambda: 0.0, 1)
         read = read_snapshot(tmp_path)
         assert read is not None and read[1] == expected
 
@@ -107,7 +108,7 @@ def test_a_full_disk_does_not_end_the_training(tmp_path: Path, capsys: Any) -> N
     (tmp_path / SNAPSHOT).mkdir()  # cannot be replaced by a file
     listener = SnapshotListener(NullListener(), avatar(), tmp_path, clock)
     for step in (1, 2):
-        listener.step(step, 0.0, 1)
+        listener.step(step, lambda: 0.0, 1)
         clock.now += 2 * INTERVAL
     assert capsys.readouterr().err.count("warning") == 1
 
