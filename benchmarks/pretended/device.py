@@ -62,7 +62,7 @@ def _backward_with(tally: Tally) -> Any:
 
 def _pinned(tensor: Tensor, *_: Any) -> Tensor:
     kept = tensor.clone()
-    kept.pretended_pinned = True  # type: ignore[attr-defined]
+    kept.pretended_pinned = True
     return kept
 
 
@@ -79,7 +79,7 @@ class PretendedFunctions(TorchFunctionMode):
         name = getattr(func, "__name__", "")
         if func in (Tensor.to, Tensor.cuda, Tensor.cpu):
             return self._moved(*_destination(func, args, kwargs))
-        if func == Tensor.grad.__get__ and isinstance(args[0], PretendedTensor):  # type: ignore[attr-defined]
+        if func == Tensor.grad.__get__ and isinstance(args[0], PretendedTensor):  # type: ignore[union-attr]
             return self._wrapped(func(*args, **kwargs))
         if name in ("__matmul__", "matmul", "__rmatmul__") and args[0].dim() == 1 and args[1].dim() == 2:
             return func(args[0][None], args[1])[0]  # a wrapper does not see squeeze_ within C++

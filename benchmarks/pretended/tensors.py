@@ -56,7 +56,7 @@ class PretendedTensor(Tensor):
         self.tally.wait("tolist")
         return self.inner.tolist()
 
-    def __repr__(self, *_: Any, **__: Any) -> str:
+    def __repr__(self, *_: Any, **__: Any) -> str:  # type: ignore[override]
         return f"PretendedTensor({tuple(self.shape)}, {self.dtype})"
 
     def __tensor_flatten__(self) -> tuple[list[str], Tally]:
@@ -73,7 +73,9 @@ class PretendedTensor(Tensor):
     __array__ = numpy
 
     @classmethod
-    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(  # type: ignore[override]
+        cls, func: Any, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
         """Run an operation on the CPU and count it."""
         return _dispatch(func, args, kwargs or {})
 
