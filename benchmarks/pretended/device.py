@@ -51,7 +51,7 @@ def pretended_cuda() -> Iterator[Tally]:
 
 def _backward_with(tally: Tally) -> Any:
     """The backward pass, whose Python code sees the device too."""
-    run = torch.autograd._engine_run_backward  # type: ignore[attr-defined]
+    run = torch.autograd._engine_run_backward
 
     def run_with_device(*args: Any, **kwargs: Any) -> Any:
         with PretendedFunctions(tally):
@@ -62,7 +62,7 @@ def _backward_with(tally: Tally) -> Any:
 
 def _pinned(tensor: Tensor, *_: Any) -> Tensor:
     kept = tensor.clone()
-    kept.pretended_pinned = True
+    kept.pretended_pinned = True  # type: ignore[attr-defined]
     return kept
 
 

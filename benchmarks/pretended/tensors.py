@@ -27,9 +27,9 @@ class PretendedTensor(Tensor):
         tally: Where its operations are counted.
     """
 
-    inner: Tensor
+    inner: Tensor  # type: ignore[assignment]
     tally: Tally
-    __torch_function__ = torch._C._disabled_torch_function_impl
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
 
     @staticmethod
     def __new__(cls, inner: Tensor, tally: Tally) -> PretendedTensor:
@@ -47,9 +47,9 @@ class PretendedTensor(Tensor):
         made.inner, made.tally = inner, tally
         return made
 
-    device = property(lambda self: CUDA)  # type: ignore[assignment]
-    is_cuda = property(lambda self: True)  # type: ignore[assignment]
-    is_cpu = property(lambda self: False)  # type: ignore[assignment]
+    device = property(lambda self: CUDA)
+    is_cuda = property(lambda self: True)
+    is_cpu = property(lambda self: False)
 
     def tolist(self) -> Any:
         """The values, for which the host waits."""
