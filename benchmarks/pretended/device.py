@@ -51,7 +51,7 @@ def pretended_cuda() -> Iterator[Tally]:
 
 def _backward_with(tally: Tally) -> Any:
     """The backward pass, whose Python code sees the device too."""
-    run = torch.autograd._engine_run_backward  # type: ignore[attr-defined]
+    run = torch.autograd._engine_run_backward
 
     def run_with_device(*args: Any, **kwargs: Any) -> Any:
         with PretendedFunctions(tally):
@@ -79,7 +79,7 @@ class PretendedFunctions(TorchFunctionMode):
         name = getattr(func, "__name__", "")
         if func in (Tensor.to, Tensor.cuda, Tensor.cpu):
             return self._moved(*_destination(func, args, kwargs))
-        if func == Tensor.grad.__get__ and isinstance(args[0], PretendedTensor):  # type: ignore[attr-defined]
+        if func == Tensor.grad.__get__ and isinstance(args[0], PretendedTensor):  # type: ignore[union-attr]
             return self._wrapped(func(*args, **kwargs))
         if name in ("__matmul__", "matmul", "__rmatmul__") and args[0].dim() == 1 and args[1].dim() == 2:
             return func(args[0][None], args[1])[0]  # a wrapper does not see squeeze_ within C++

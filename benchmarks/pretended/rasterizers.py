@@ -15,6 +15,7 @@ from unittest import mock
 import torch
 from torch import Tensor
 
+from benchmarks.pretended.tally import Tally
 from benchmarks.pretended.tensors import PretendedTensor, inner
 from ggavatar.core import Camera, Gaussians, Rendering
 from ggavatar.render.discs import rasterizer as discs
@@ -63,16 +64,17 @@ def stand_in(rasterize: Callable[..., Rendering], launches: Launches = RASTERIZE
         named = [getattr(gaussians, name) for name in SPLATTED]
         if not all(isinstance(value, PretendedTensor) for value in named):
             raise RuntimeError("expected all Gaussians on cuda:0")
+        tally: Tally = named[0].tally
         found: dict[str, Any] = {}
         setting = (rasterize, gaussians, camera, background, launches, found)
         image, alpha, depth = _Draw.apply(setting, *named, camera.world_to_camera)
         drawn: Rendering = found["drawn"]
         changes: dict[str, Any] = {"image": image, "alpha": alpha, "depth": depth}
-        means2d = PretendedTensor(drawn.means2d.detach().clone(), gaussians.means.tally)
+        means2d = PretendedTensor(drawn.means2d.detach().clone(), tally)
         changes["means2d"] = found["means2d"] = means2d.requires_grad_(drawn.means2d.requires_grad)
         for name in ("radii", "shown"):
             if hasattr(drawn, name):
-                changes[name] = PretendedTensor(getattr(drawn, name).detach(), gaussians.means.tally)
+                changes[name] = PretendedTensor(getattr(drawn, name).detach(), tally)
         return dataclasses.replace(drawn, **changes)
 
     return draw
@@ -90,7 +92,7 @@ class _Draw(torch.autograd.Function):
             splats = dataclasses.replace(gaussians, **dict(zip(SPLATTED, leaves[:-1], strict=True)))
             view = dataclasses.replace(camera, intrinsics=inner(camera.intrinsics).detach(), world_to_camera=leaves[-1])
             drawn = rasterize(splats, view, inner(background).detach())
-        tally = gaussians.means.tally
+        tally: Tally = gaussians.means.tally
         tally.launch("rasterizer, forward", launches.forward)
         ctx.leaves, ctx.tally, ctx.launches, ctx.found = leaves, tally, launches, found
         found["drawn"] = drawn

@@ -27,9 +27,9 @@ class PretendedTensor(Tensor):
         tally: Where its operations are counted.
     """
 
-    inner: Tensor
+    inner: Tensor  # type: ignore[assignment]
     tally: Tally
-    __torch_function__ = torch._C._disabled_torch_function_impl
+    __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]
 
     @staticmethod
     def __new__(cls, inner: Tensor, tally: Tally) -> PretendedTensor:
@@ -47,16 +47,16 @@ class PretendedTensor(Tensor):
         made.inner, made.tally = inner, tally
         return made
 
-    device = property(lambda self: CUDA)  # type: ignore[assignment]
-    is_cuda = property(lambda self: True)  # type: ignore[assignment]
-    is_cpu = property(lambda self: False)  # type: ignore[assignment]
+    device = property(lambda self: CUDA)
+    is_cuda = property(lambda self: True)
+    is_cpu = property(lambda self: False)
 
     def tolist(self) -> Any:
         """The values, for which the host waits."""
         self.tally.wait("tolist")
         return self.inner.tolist()
 
-    def __repr__(self, *_: Any, **__: Any) -> str:
+    def __repr__(self, *_: Any, **__: Any) -> str:  # type: ignore[override]
         return f"PretendedTensor({tuple(self.shape)}, {self.dtype})"
 
     def __tensor_flatten__(self) -> tuple[list[str], Tally]:
@@ -73,7 +73,9 @@ class PretendedTensor(Tensor):
     __array__ = numpy
 
     @classmethod
-    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(  # type: ignore[override]
+        cls, func: Any, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
         """Run an operation on the CPU and count it."""
         return _dispatch(func, args, kwargs or {})
 

@@ -37,9 +37,9 @@ SETTINGS = ["density_start=20000", "neutral_iterations=30000", "density_gradient
 
 
 def losses(folder: Path) -> list[dict[str, Any]]:
-    """The training journal without its clock."""
+    """The training journal without its clocks."""
     return [
-        {key: value for key, value in line.items() if key != "seconds"}
+        {key: value for key, value in line.items() if key not in ("seconds", "waited")}
         for line in read_journal(folder / "metrics/train.jsonl")
     ]
 
