@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 
 from ggavatar.geometry.transforms import matrix_to_quaternion
 from ggavatar.geometry.triangles import triangle_frames
+from ggavatar.jit.constants import constant_like
 
 LEAST_LENGTH = 1e-20
 """Length up to which a sum of vectors or quaternions counts as zero."""
@@ -88,4 +89,4 @@ def _summed(values: Float[Tensor, "F C"], faces: Int[Tensor, "F 3"], count: int)
 def _unit_or(values: Tensor, fallback: tuple[float, ...]) -> Tensor:
     """Normalized rows, and `fallback` for those without length."""
     zero = (values.detach().norm(dim=-1, keepdim=True) <= LEAST_LENGTH).expand_as(values)
-    return normalize(torch.where(zero, values.new_tensor(fallback), values), dim=-1, eps=LEAST_LENGTH)
+    return normalize(torch.where(zero, constant_like(fallback, values), values), dim=-1, eps=LEAST_LENGTH)

@@ -41,7 +41,8 @@ from ggavatar.gaussians.spherical_harmonics import color_from_frames
 from ggavatar.geometry.triangle_walk import neighbors
 from ggavatar.geometry.uv_sampling import SurfaceSamples, face_areas, strip_samples
 from ggavatar.head.head_pose import HeadPoses
-from ggavatar.head.region_boxes import region_boxes
+from ggavatar.head.region_boxes import RegionBoxes
+from ggavatar.jit.constants import to_device
 from ggavatar.losses.crop_sampler import CropSampler
 from ggavatar.losses.terms import l1
 from ggavatar.losses.vgg import FeatureChoice
@@ -186,6 +187,7 @@ class SplattingAvatar(nn.Module):
         self.config, self.scene, self.head = config, scene, scene.head
         self.poses = HeadPoses.of(self.head, scene.drives)
         self.mesh = neighbors(self.head.faces)
+        self.boxes = RegionBoxes(self.head)
         self.rest = RestMesh.of(self._rest_vertices(), self.head.faces)
         self.rows = initial_rows(config, scene, self.rest, self.poses)
         self.density = density_control(
@@ -215,7 +217,8 @@ class SplattingAvatar(nn.Module):
         """L1, squared error and perceptual loss on a random background, and the scaling regularizer (Eq. 9, 10)."""
         assert self._posed_scales is not None, "call gaussians() before losses() in every step"
         config = self.config
-        change = torch.rand(3, generator=seeded(self.scene.seed, 5, step)).to(frame.image) - self.scene.background
+        color = torch.rand(3, generator=seeded(self.scene.seed, 5, step), dtype=frame.image.dtype)
+        change = to_device(color, frame.image.device) - self.scene.background
         image = rendering.image + (1 - rendering.alpha) * change
         target = frame.image + (1 - frame.alpha) * change
         regularizer = scaling_regularizer(self._posed_scales, config.scaling_threshold, config.scaling_ratio)
@@ -225,7 +228,7 @@ class SplattingAvatar(nn.Module):
             "scaling": config.scaling_weight * AUTHORS_UNITS_PER_METER * regularizer,
         }
         if config.perceptual_weight:
-            boxes = region_boxes(self.head, frame) if self.perceptual.crops else []
+            boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(image * frame.alpha, target * frame.alpha, step, boxes))
         return terms
 
