@@ -47,8 +47,8 @@ MUTATIONS = (
     Mutation(
         "children_spread_in_world_units",
         FILE,
-        'spread = face_scales if self.split_in == "world" else None',
-        "spread = face_scales",
+        'generator, face_scales if self.split_in == "world" else None)',
+        "generator, face_scales)",
         (f"{TEST}::test_children_of_a_split_spread_in_units_of_their_triangle",),
     ),
     Mutation(
@@ -68,8 +68,8 @@ MUTATIONS = (
     Mutation(
         "gradients_in_pixels",
         FILE,
-        "gradient.new_tensor([width / 2, height / 2])",
-        "gradient.new_tensor([1.0, 1.0])",
+        "constant_like((width / 2, height / 2), gradient)",
+        "1.0",
         (f"{TEST}::test_statistics_are_ndc_norms_of_visible_rows",),
     ),
     Mutation(

@@ -578,8 +578,8 @@ EMBEDDED_METHOD = (
     Mutation(
         "splatting_background_fixed",
         SPLATTING,
-        "seeded(self.scene.seed, 5, step)).to(frame.image) - self.scene.background",
-        "seeded(self.scene.seed, 5, step)).to(frame.image) * 0",
+        "to_device(color, frame.image.device) - self.scene.background",
+        "to_device(color, frame.image.device) * 0",
         (f"{TESTS}/test_splatting_avatar.py::test_objective_by_hand",),
     ),
     Mutation(

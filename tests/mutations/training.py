@@ -242,7 +242,7 @@ MUTATIONS = (
     Mutation(
         "camera_of_a_smaller_image_keeps_its_focal_length",
         "ggavatar/core.py",
-        "return Camera(self.intrinsics * factors, self.world_to_camera, width, height)",
+        "return Camera(intrinsics, self.world_to_camera, width, height)",
         "return Camera(self.intrinsics, self.world_to_camera, width, height)",
         (f"{FRAMES}::test_smaller_frames_are_area_means_and_their_cameras_agree",),
     ),

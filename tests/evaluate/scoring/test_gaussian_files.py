@@ -198,10 +198,10 @@ def test_eval_of_a_file_needs_a_capture(plain: Path, tmp_path: Path, capsys: pyt
 
 
 def test_a_run_whose_capture_moved(tmp_path: Path, capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """--capture with a run goes to `open_run`."""
+    """--capture with a run goes to `open_avatar`."""
     import evaluate.rendering.jobs as jobs
 
     made, asked = toy_run(tmp_path / "home"), []
-    monkeypatch.setattr(jobs, "open_run", lambda *given: asked.append(given) or made)
+    monkeypatch.setattr(jobs, "open_avatar", lambda *given: asked.append(given) or made)
     assert render(monkeypatch, made.folder, "--capture", capture.folder) == 0
     assert asked[0][-1] == capture.folder

@@ -93,7 +93,7 @@ print("\\n".join(failed))
 
 def test_every_command_shows_its_help() -> None:
     points = [point for point in importlib.metadata.entry_points(group="console_scripts") if point.name[:4] == "ggav"]
-    assert len({point.name for point in points}) == 9
+    assert len({point.name for point in points}) == 10
     code = "".join(
         f"""
 sys.argv, shown = [{point.name!r}, "--help"], io.StringIO()
@@ -153,6 +153,6 @@ def test_memory_that_is_not_known_is_left_out(
 ) -> None:
     monkeypatch.setitem(sys.modules, "resource", None)
     assert peak_memory_mib() is None
-    ConsoleListener(0, 3).step(3, 0.5, 1234)
+    ConsoleListener(0, 3).step(3, lambda: 0.5, 1234)
     (line,) = capsys.readouterr().out.splitlines()
     assert line.endswith("loss 0.5000 · 1234 Gaussians")

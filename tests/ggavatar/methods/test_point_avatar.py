@@ -236,7 +236,7 @@ def test_two_runs_and_a_broken_one_are_bit_identical(toy_capture: Capture, tmp_p
             trainer.run(trainer.resume(), stop)
     lines = [
         [
-            {key: value for key, value in line.items() if key != "seconds"}
+            {key: value for key, value in line.items() if key not in ("seconds", "waited")}
             for line in read_journal(tmp_path / name / "metrics/train.jsonl")
         ]
         for name in ("straight", "broken")
