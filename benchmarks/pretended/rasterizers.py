@@ -61,6 +61,7 @@ def stand_in(rasterize: Callable[..., Rendering], launches: Launches = RASTERIZE
     """A rasterizer of pretended tensors, given one of tensors on the CPU."""
 
     def draw(gaussians: Gaussians, camera: Camera, background: Tensor) -> Rendering:
+        """Draw on the CPU and count it; what belongs to the device is pretended again."""
         named = [getattr(gaussians, name) for name in SPLATTED]
         if not all(isinstance(value, PretendedTensor) for value in named):
             raise RuntimeError("expected all Gaussians on cuda:0")
@@ -85,6 +86,7 @@ class _Draw(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, setting: Any, *tensors: Tensor) -> tuple[Tensor, ...]:
+        """Image, alpha and depth; the rendering itself is left in the setting."""
         rasterize, gaussians, camera, background, launches, found = setting
         wanted = ctx.needs_input_grad[1:]
         with torch._C.DisableTorchFunction(), torch.enable_grad():
@@ -102,6 +104,7 @@ class _Draw(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, to_image: Tensor, to_alpha: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the splatted columns and the pose; those of the projected means are left on them."""
         drawn = ctx.found["drawn"]
         wanted = [leaf for leaf in ctx.leaves if leaf.requires_grad]
         upstream = [inner(to_image).contiguous(), inner(to_alpha).contiguous()]

@@ -25,8 +25,8 @@ class Options:
     """Show a run, a capture or a file of Gaussians in a browser: turn it, move its face, play it, compare it."""
 
     shown: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN|CAPTURE|FILE")]
-    """Run folder of ggavatar-train, also while it trains; capture folder of ggavatar-prep; or FILE of Gaussians: PLY,
-    .splat, .spz, SOG (docs/export.md)."""
+    """Run folder of ggavatar-train, also while it trains; capture folder of ggavatar-prep; or FILE: an avatar file
+    (docs/avatar-file.md), or Gaussians: PLY, .splat, .spz, SOG (docs/export.md)."""
     source: tyro.conf.OmitArgPrefixes[GaussianFileOptions] = field(default_factory=GaussianFileOptions)
     webcam: Annotated[str | None, tyro.conf.arg(metavar="N|VIDEO")] = None
     """Drive the avatar of a run by a camera of this computer (number N, 0 if not given), or by a video file in its

@@ -12,7 +12,7 @@ from typing import Any
 from evaluate.viewer.drawing import Drawing
 from evaluate.viewer.playback import Playback
 from evaluate.viewer.posing import Turn, value_of, with_value
-from evaluate.viewer.run_scene import CLIPS, MODES, RunScene, Shown
+from evaluate.viewer.run_scene import AVATAR, CLIPS, RunScene, Shown
 from evaluate.viewer.server import Windows, by_user, notify
 from evaluate.viewer.texts import lines
 from ggavatar.errors import InputError
@@ -61,7 +61,7 @@ class RunPanel:
         )
 
     def _add_picture(self) -> None:
-        mode = self._gui.add_dropdown("picture", MODES, initial_value=MODES[0])
+        mode = self._gui.add_dropdown("picture", self._scene.modes, initial_value=AVATAR)
         free = self._gui.add_checkbox("turn beyond training", False)
         back = self._gui.add_button("view from the front")
 

@@ -18,9 +18,9 @@ from evaluate.viewer.playback import Playback
 from evaluate.viewer.posing import Controls, Turn
 from evaluate.viewer.tiles import side_by_side, tile_size
 from ggavatar.core import Camera, Drive
+from ggavatar.data.capture_without_images import CaptureWithoutImages
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.formats.web.clips import clip_rate
-from ggavatar.head.files import load_head
 from ggavatar.training.run_folder import Run
 
 AVATAR, BESIDE, ERROR = MODES = ("avatar", "video beside", "error map")
@@ -61,7 +61,7 @@ class RunScene:
         self.run = run
         self.avatar = run.avatar
         self.background = run.background if background is None else background
-        head = load_head(run.capture.head_path).to(run.background.device, torch.float32)
+        head = run.head.to(run.background.device, torch.float32)
         frames = evenly_spaced(run.split.train or run.capture.frames, MAX_RANGE_FRAMES)
         camera = run.reader.camera(run.capture.frames[0])
         self.controls = Controls.of(head, [run.reader.drive(number) for number in frames], camera)
@@ -71,6 +71,11 @@ class RunScene:
         self.gaussians = 0
         self.beside: UInt8[np.ndarray, "H W 3"] | None = None
         """A performer, shown beside the avatar."""
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Those of `MODES` that the run can be shown in: an avatar file has no video to compare with."""
+        return (AVATAR,) if isinstance(self.run.capture, CaptureWithoutImages) else MODES
 
     def frames_of(self, name: str) -> tuple[int, ...]:
         """Frame numbers of one of `CLIPS`."""

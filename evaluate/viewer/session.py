@@ -27,6 +27,8 @@ from evaluate.viewer.server import ViewerServer, require_viser
 from ggavatar.data.background import parse_background
 from ggavatar.data.capture import DESCRIPTION, Capture
 from ggavatar.errors import InputError
+from ggavatar.formats.any_avatar import open_avatar
+from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.source_options import is_gaussian_file
 from ggavatar.render.backends import resolve_device
 from ggavatar.text.terminal import write_err, write_out
@@ -112,8 +114,8 @@ def open_session(options: Options) -> Session:
     """Open what the options name and begin to serve it."""
     require_viser()
     path, source = options.shown, options.source
-    if options.webcam is not None and (is_gaussian_file(path) or not holds_run(path)):
-        raise InputError(f"{path}: --webcam drives the avatar of a run, this is none; leave it out")
+    if options.webcam is not None and not (is_avatar_file(path) or holds_run(path)):
+        raise InputError(f"{path}: --webcam drives the avatar of a run or an avatar file, this is none; leave it out")
     if is_gaussian_file(path):
         device = resolve_device(options.device)
         if source.capture is None:
@@ -122,7 +124,10 @@ def open_session(options: Options) -> Session:
     refuse_file_flags(path, source)
     if (path / DESCRIPTION).is_file() and not holds_run(path):
         return _show_capture(options, Capture.open(path))
-    run = open_in_progress(path, resolve_device(options.device), options.backend, source.capture)
+    device = resolve_device(options.device)
+    if is_avatar_file(path):
+        return _show_run(options, open_avatar(path, device, None, options.backend, source.capture))
+    run = open_in_progress(path, device, options.backend, source.capture)
     return _show_run(options, run, is_followed=True)
 
 

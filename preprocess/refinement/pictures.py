@@ -66,11 +66,11 @@ def read_pictures(
         background: Color behind the person, sRGB in [0, 1].
     """
     behind = np.asarray(background, np.float32) * 255
-    full = [0, 0]
 
-    def small(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def small(row: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, int]]:
+        """Colors on the background, alpha and outline of the face of a row, reduced; and its size before."""
         image, mask = read(row)
-        full[:] = image.shape[1], image.shape[0]
+        full = image.shape[1], image.shape[0]
         factor = min(1.0, side / max(full))
         coverage = mask.astype(np.float32)[..., None] / 255
         composed = image * coverage + behind * (1 - coverage)
@@ -80,10 +80,10 @@ def read_pictures(
         outline = np.zeros(alpha.shape, np.uint8)
         hull = cv2.convexHull((face(row) * factor - 0.5).astype(np.float32))
         cv2.fillConvexPoly(outline, np.rint(hull).astype(np.int32), 1)
-        return colors, alpha, outline > 0
+        return colors, alpha, outline > 0, full
 
-    colors, coverage, faces = zip(*ordered_map(small, rows), strict=True)
-    return Pictures(tuple(rows), np.stack(colors), np.stack(coverage), np.stack(faces), (full[0], full[1]))
+    colors, coverage, faces, sizes = zip(*ordered_map(small, rows), strict=True)
+    return Pictures(tuple(rows), np.stack(colors), np.stack(coverage), np.stack(faces), sizes[-1])
 
 
 def face_points(head: HeadModel, tracking: Tracking, row: int) -> Float[np.ndarray, "N 2"]:

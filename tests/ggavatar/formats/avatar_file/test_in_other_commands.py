@@ -9,11 +9,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from evaluate.cli import evaluate as evaluating
 from evaluate.cli import render as command
 from evaluate.options import Options
 from evaluate.scoring.run import evaluate_run
+from evaluate.viewer.options import Options as ViewerOptions
+from evaluate.viewer.orbit import resting_place
+from evaluate.viewer.run_scene import AVATAR, RunScene
+from evaluate.viewer.session import open_session
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.formats.avatar_file import export as exporting
@@ -92,3 +97,20 @@ def test_the_flags_of_driving_are_those_of_the_export() -> None:
         for kind in (RenderOptions, Arguments)
     )
     assert ours == theirs and SimpleNamespace(**ours).transfer == "matched"
+
+
+def test_the_viewer_shows_a_file_without_its_video(file: Path) -> None:
+    pytest.importorskip("viser", reason="needs viser, which serves the viewer: pip install viser")
+    session = open_session(ViewerOptions(file, port=0, device="cpu", backend="reference"))
+    scene = session.drawing.scene
+    session.close()
+    assert isinstance(scene, RunScene) and scene.modes == (AVATAR,)
+    with torch.no_grad():  # as its drawing thread does
+        image = scene.picture(resting_place(scene.controls.pivot, 48, 32), (48, 32), 0.0)
+    assert image.shape == (32, 48, 3) and image.std() > 5
+
+
+def test_the_viewer_names_a_file_that_is_missing(tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="needs viser, which serves the viewer: pip install viser")
+    with pytest.raises(InputError, match=r"you\.ggavatar"):
+        open_session(ViewerOptions(tmp_path / "you.ggavatar", port=0, device="cpu"))
