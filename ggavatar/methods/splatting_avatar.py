@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from ggavatar.core import Drive, Frame, Gaussians, Rendering
@@ -50,6 +50,7 @@ from ggavatar.losses.vgg_term import PerceptualTerm
 from ggavatar.optim.parameters import Column, Rows
 from ggavatar.optim.schedules import PAPER_STEPS, log_linear, scaled
 from ggavatar.optim.seeding import seeded
+from ggavatar.optim.step_counter import StepCounter
 
 
 @dataclass(frozen=True)
@@ -177,10 +178,8 @@ def build(config: Config, scene: Scene) -> SplattingAvatar:
     return avatar
 
 
-class SplattingAvatar(nn.Module):
+class SplattingAvatar(StepCounter):
     """The avatar: rows of Gaussians embedded on the head mesh."""
-
-    steps_done: Tensor
 
     def __init__(self, config: Config, scene: Scene) -> None:
         super().__init__()
@@ -198,7 +197,6 @@ class SplattingAvatar(nn.Module):
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self.register_buffer("steps_done", torch.zeros((), dtype=torch.int64))
         self._posed_scales: Tensor | None = None
 
     def gaussians(self, drive: Drive) -> Gaussians:
