@@ -1,4 +1,4 @@
-"""Every image of a clip reduced to what tells blank, faded, cut and repeated frames apart, while its pixels are at hand."""
+"""Every image of a clip reduced to what tells blank, faded, cut and repeated frames apart."""
 
 from __future__ import annotations
 
