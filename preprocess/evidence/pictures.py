@@ -65,6 +65,11 @@ def join_pictures(images: Iterable[ReducedImage]) -> Pictures:
     before: np.ndarray | None = None
     for image in images:
         thumbnails.append(image.thumbnail)
-        repeated.append(before is not None and float(cv2.absdiff(image.gray, before).mean()) < MAX_REPEAT_DIFFERENCE)
+        repeated.append(before is not None and _mean_difference(image.gray, before) < MAX_REPEAT_DIFFERENCE)
         before = image.gray
     return Pictures(np.array(thumbnails, np.uint8).reshape(-1, 32, 32, 3), np.array(repeated, bool))
+
+
+def _mean_difference(gray: UInt8[np.ndarray, "H W"], other: UInt8[np.ndarray, "H W"]) -> float:
+    """Mean absolute difference of two images, in 8-bit levels."""
+    return cv2.norm(gray, other, cv2.NORM_L1) / gray.size
