@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import huber_loss, l1_loss
 
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 
@@ -41,6 +42,10 @@ def position_regularizer(
     """
     if compiled_for(local_means):
         return cast(Tensor, _CompiledRegularizer.apply(local_means, visible, threshold, "POSITION"))
+    if device_kernels.run_on(local_means, visible):
+        from ggavatar.losses import regularizers_triton
+
+        return regularizers_triton.regularizer(local_means, visible, threshold, regularizers_triton.POSITION)
     return position_regularizer_in_torch(local_means, visible, threshold)
 
 
@@ -69,6 +74,10 @@ def log_scale_regularizer(
     """
     if compiled_for(local_log_scales):
         return cast(Tensor, _CompiledRegularizer.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
+    if device_kernels.run_on(local_log_scales, visible):
+        from ggavatar.losses import regularizers_triton
+
+        return regularizers_triton.regularizer(local_log_scales, visible, threshold, regularizers_triton.LOG_SCALE)
     return log_scale_regularizer_in_torch(local_log_scales, visible, threshold)
 
 
