@@ -48,14 +48,14 @@ def sum_costs(rows_at, visible, sums, rows, threshold, KIND: tl.constexpr, BLOCK
 
 
 @device_kernel
-def finish_mean(sums, mean, programs, BLOCK: tl.constexpr):
-    """Write the mean cost of the visible rows, and 1 / their number, from the sums of `programs` blocks."""
+def finish_mean(sums, mean, programs, weight, BLOCK: tl.constexpr):
+    """Write `weight` times the mean cost of the visible rows, and over their number, from the sums of blocks."""
     total, count = tl.zeros([BLOCK], tl.float32), tl.zeros([BLOCK], tl.float32)
     for first in range(0, programs, BLOCK):
         program = first + tl.arange(0, BLOCK)
         total += tl.load(sums + 2 * program, mask=program < programs, other=0.0)
         count += tl.load(sums + 2 * program + 1, mask=program < programs, other=0.0)
-    inverse = 1.0 / tl.maximum(tl.sum(count, axis=0), 1.0)
+    inverse = weight / tl.maximum(tl.sum(count, axis=0), 1.0)
     tl.store(mean, tl.sum(total, axis=0) * inverse)
     tl.store(mean + 1, inverse)
 
@@ -64,7 +64,7 @@ def finish_mean(sums, mean, programs, BLOCK: tl.constexpr):
 def differentiate_costs(
     rows_at, visible, mean, upstream, gradient, rows, threshold, KIND: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Write the gradient [N, 3] of the rows, given that of the mean."""
+    """Write the gradient [N, 3] of the rows, given that of the weighted mean."""
     row = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     alive = row < rows
     _, _, slope = _cost(rows_at, visible, row, alive, threshold, KIND)
@@ -72,10 +72,10 @@ def differentiate_costs(
 
 
 class _Regularizer(torch.autograd.Function):
-    """Mean cost of the visible rows (`kind`: `POSITION` or `LOG_SCALE`)."""
+    """Weighted mean cost of the visible rows (`kind`: `POSITION` or `LOG_SCALE`)."""
 
     @staticmethod
-    def forward(ctx: Any, values: Tensor, visible: Tensor, threshold: float, kind: int) -> Tensor:
+    def forward(ctx: Any, values: Tensor, visible: Tensor, threshold: float, weight: float, kind: int) -> Tensor:
         """The mean, on the device."""
         values, visible = values.detach().contiguous(), visible.contiguous()
         programs = -(-len(values) // BLOCK)
@@ -83,13 +83,13 @@ class _Regularizer(torch.autograd.Function):
         device_kernels.launch(
             sum_costs, programs, values, visible, sums, len(values), threshold, KIND=kind, BLOCK=BLOCK
         )
-        device_kernels.launch(finish_mean, 1, sums, mean, programs, BLOCK=256)
+        device_kernels.launch(finish_mean, 1, sums, mean, programs, weight, BLOCK=256)
         ctx.save_for_backward(values, visible, mean)
         ctx.options = threshold, kind
         return mean[0]
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None, None]:
         """The gradient of the values."""
         values, visible, mean = ctx.saved_tensors
         threshold, kind = ctx.options
@@ -98,9 +98,9 @@ class _Regularizer(torch.autograd.Function):
             differentiate_costs, -(-len(values) // BLOCK), values, visible, mean, upstream, gradient,
             len(values), threshold, KIND=kind, BLOCK=BLOCK,
         )  # fmt: skip
-        return gradient, None, None, None
+        return gradient, None, None, None, None
 
 
-def regularizer(values: Tensor, visible: Tensor, threshold: float, kind: int) -> Tensor:
-    """Mean cost of the visible rows; 0, attached to the graph, if there is none."""
-    return cast(Tensor, _Regularizer.apply(values, visible, threshold, kind))
+def regularizer(values: Tensor, visible: Tensor, threshold: float, weight: float, kind: int) -> Tensor:
+    """`weight` times the mean cost of the visible rows; 0, attached to the graph, if there is none."""
+    return cast(Tensor, _Regularizer.apply(values, visible, threshold, weight, kind))

@@ -41,14 +41,13 @@ def fused_adam_step(optimizer: torch.optim.Optimizer, is_bad: Tensor) -> bool:
 
 def _update(optimizer: torch.optim.Optimizer, group: dict[str, Any], parameters: list[Tensor], is_bad: Tensor) -> None:
     """Update the parameters of a group and their moments, whose steps have been counted."""
-    if not parameters:
-        return
+    gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
     states = [optimizer.state[parameter] for parameter in parameters]
-    moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq"))
+    first, second, steps = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
     beta1, beta2 = group["betas"]
-    gradients = [parameter.grad for parameter in parameters]
-    torch._fused_adam_(
-        parameters, gradients, *moments, [], [state["step"] for state in states],  # type: ignore[arg-type]
-        lr=group["lr"], beta1=beta1, beta2=beta2, weight_decay=group["weight_decay"], eps=group["eps"],
-        amsgrad=False, maximize=group["maximize"], grad_scale=None, found_inf=is_bad,
-    )  # fmt: skip
+    if parameters:
+        torch._fused_adam_(
+            parameters, gradients, first, second, [], steps,
+            lr=float(group["lr"]), beta1=beta1, beta2=beta2, weight_decay=group["weight_decay"], eps=group["eps"],
+            amsgrad=False, maximize=group["maximize"], grad_scale=None, found_inf=is_bad,
+        )  # fmt: skip

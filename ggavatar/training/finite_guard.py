@@ -76,6 +76,7 @@ class DeviceGuard:
     def __init__(self, limit: int, device: torch.device) -> None:
         self.limit = limit
         self.counts = torch.zeros(2, device=device)
+        self._is_bad = torch.zeros(2, device=device)
 
     @torch.no_grad()
     def mark(self, loss: Tensor, avatar: nn.Module) -> Tensor:
@@ -87,9 +88,9 @@ class DeviceGuard:
         gradients = [_values(parameter.grad) for parameter in avatar.parameters() if parameter.grad is not None]
         norms = torch.stack(torch._foreach_norm(gradients)).sum() if gradients else torch.zeros_like(loss)
         values = torch.stack((loss.detach(), norms))
-        is_bad = (values - values).ne(0)  # what is not finite less itself is NaN
-        self.counts += is_bad
-        return is_bad.any().float()
+        torch.ne(values - values, 0, out=self._is_bad)  # what is not finite less itself is NaN
+        self.counts += self._is_bad
+        return self._is_bad.amax()
 
     def check(self, step: int, counts: Sequence[float]) -> None:
         """Look at the values of `counts`, which the caller has read.
