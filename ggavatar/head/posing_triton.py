@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
 import triton.language as tl
@@ -13,9 +13,6 @@ from ggavatar.jit import device_kernels
 from ggavatar.jit.constants import constant
 from ggavatar.jit.triton_kernels import device_function, device_kernel
 from ggavatar.jit.triton_vectors import added, combined, dot, load_3, scaled, store_3
-
-if TYPE_CHECKING:
-    from ggavatar.head.model import HeadModel
 
 BLOCK = 128
 SMALL = tl.constexpr(1e-4)
@@ -139,8 +136,8 @@ def write_condition(
     tl.store(condition + EXPRESSIONS + 6 * MOVING + lid, tl.load(closed + lid))
 
 
-def vertices(head: HeadModel, drive: Drive) -> Tensor:
-    """`HeadModel.vertices`, without gradients."""
+def vertices(head: Any, drive: Drive) -> Tensor:
+    """`vertices` of a `HeadModel`, m, without gradients."""
     shaped = torch.addmv(head.template.flatten(), head.expression_basis.flatten(0, 1), drive.expression)
     linear, offsets, feature = _posed_joints(head, drive.joint_rotations, head.joint_regressor @ shaped.view(-1, 3))
     if head.pose_basis.shape[2]:
@@ -154,7 +151,7 @@ def vertices(head: HeadModel, drive: Drive) -> Tensor:
     return posed
 
 
-def _posed_joints(head: HeadModel, axis_angles: Tensor, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _posed_joints(head: Any, axis_angles: Tensor, places: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Rotation, offset (m) and pose feature of the joints at `places`, m."""
     joints = len(head.parents)
     linear, offsets = places.new_empty(joints, 3, 3), places.new_empty(joints, 3)
@@ -167,8 +164,8 @@ def _posed_joints(head: HeadModel, axis_angles: Tensor, places: Tensor) -> tuple
     return linear, offsets, feature
 
 
-def condition(head: HeadModel, drive: Drive) -> Tensor:
-    """`HeadModel.condition`, without gradients."""
+def condition(head: Any, drive: Drive) -> Tensor:
+    """`condition` of a `HeadModel`, without gradients."""
     expressions, moving = len(drive.expression), head.moving_joints
     found = drive.expression.new_empty(expressions + 6 * len(moving) + 2)
     device_kernels.launch(
