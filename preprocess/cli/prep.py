@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ggavatar.cli.given import A_VIDEO, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
@@ -107,6 +108,7 @@ def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and report what was written."""
     # The fit's matrices are small and our own threads already keep the cores busy: OpenBLAS threads would compete.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    check_given(options.input, A_VIDEO)
     announce_start(options.quiet or options.json)
     from ggavatar.data.capture import Capture
     from preprocess.cli.terminal import Terminal
