@@ -51,7 +51,7 @@ WIDTH = 160
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code: 0 done, 1 failed, 2 bad input, 3 a gate failed."""
-    return run_command(lambda: _evaluate(parse(arguments)))
+    return run_command(lambda: _evaluate(parse(arguments)), Options)
 
 
 def _evaluate(options: Options) -> int:

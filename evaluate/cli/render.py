@@ -24,4 +24,4 @@ def main() -> int:
             written = render(options, progress)
         write_out(*map(str, written))
 
-    return run_command(body)
+    return run_command(body, Options)

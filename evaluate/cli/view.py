@@ -33,7 +33,7 @@ def main() -> int:
         except KeyboardInterrupt:
             write_err("the viewer has ended")
 
-    return run_command(body)
+    return run_command(body, Options)
 
 
 if __name__ == "__main__":

@@ -121,7 +121,7 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-export; returns the exit code (0 success, 1 failure, 2 invalid input)."""
-    return run_command(lambda: _export(parse(PAGE, arguments)))
+    return run_command(lambda: _export(parse(PAGE, arguments)), Arguments)
 
 
 def _export(arguments: Arguments) -> int:

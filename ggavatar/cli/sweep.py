@@ -100,7 +100,7 @@ PAGE = CommandPage(
 
 def main() -> int:
     """Entry point of ggavatar-sweep."""
-    return run_command(lambda: sweep(parse(PAGE)))
+    return run_command(lambda: sweep(parse(PAGE)), Arguments)
 
 
 def sweep(arguments: Arguments) -> int:

@@ -95,7 +95,7 @@ PAGE = CommandPage(
 
 def train() -> int:
     """Entry point of ggavatar-train."""
-    return run_command(lambda: _train(parse(PAGE)))
+    return run_command(lambda: _train(parse(PAGE)), Arguments)
 
 
 def _train(arguments: Arguments) -> int:

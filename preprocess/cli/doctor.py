@@ -59,7 +59,7 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-doctor`; returns the exit code."""
-    return run_command(lambda: _examine(parse(PAGE, arguments)))
+    return run_command(lambda: _examine(parse(PAGE, arguments)), DoctorOptions)
 
 
 def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:

@@ -64,7 +64,9 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-prep`; returns the exit code."""
-    return run_command(lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)))
+    return run_command(
+        lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)), PrepOptions
+    )
 
 
 def _parse(arguments: Sequence[str]) -> PrepOptions:
