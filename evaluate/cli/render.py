@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tyro
-
-from evaluate.rendering.options import Options, check
-from ggavatar.cli.progress import show_progress
+from evaluate.rendering.options import PAGE, Options, check
+from ggavatar.cli.given import AN_AVATAR, check_given
+from ggavatar.cli.page import parse
+from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.text.terminal import write_out
 
 
@@ -15,13 +14,14 @@ def main() -> int:
     """Run the command; the exit code is 0 done, 1 failure, 2 bad input, 130 interrupted."""
 
     def body() -> None:
-        handle_version_flag("ggavatar-render")
-        options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
+        options: Options = parse(PAGE)
         check(options)
+        check_given(options.run, AN_AVATAR)
+        announce_start()
         from evaluate.rendering.jobs import render
 
         with show_progress("rendering") as progress:
             written = render(options, progress)
         write_out(*map(str, written))
 
-    return run_command(body)
+    return run_command(body, Options)

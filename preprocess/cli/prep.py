@@ -11,23 +11,66 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ggavatar.cli.given import A_VIDEO, check_given
+from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
+from ggavatar.cli.typed import one_of
 from ggavatar.errors import GateError
 from preprocess.options import PrepOptions
 
 
+def _formats() -> list[str]:
+    from preprocess.formats.registry import importer_names
+
+    return [f"formats of --tracking: {', '.join(importer_names())}"]
+
+
+def _check_format(name: str) -> None:
+    """Raise an `InputError` for a format that is not installed."""
+    from preprocess.formats.registry import importer_names
+
+    known = [one.replace("_", "-") for one in importer_names()]
+    one_of("--format", ("auto", *known))(name.replace("_", "-"))
+
+
+PAGE = CommandPage(
+    program="ggavatar-prep",
+    options=PrepOptions,
+    summary="Make a capture from a portrait video: frames, crop, masks, tracking, and a check of the result.",
+    examples=(
+        ("ggavatar-prep alice.mp4 -o captures/alice", "a video, with our own masks and tracking"),
+        ("ggavatar-prep alice.mp4 -o captures/alice --start 2 --end 30 --size 384", "a part of it, smaller"),
+        (
+            "ggavatar-prep frames -o captures/alice --tracking vhap --head-model flame2023.pkl --masks masks",
+            "frames with masks and the tracking of another program",
+        ),
+    ),
+    groups={
+        "what is written": ("output_dir", "size", "crop", "split", "subject"),
+        "frames of the video": ("start", "end", "frames", "fps", "camera"),
+        "frames that are left out": ("keep_faceless", "cut", "drop_repeated"),
+        "masks": ("masks", "invert_masks"),
+        "tracking by another program": ("tracking", "format", "head_model", "frame_offset", "fix"),
+        "tracking by this program": ("focal", "expressions", "smooth", "refine"),
+        "an earlier capture in the folder": ("resume", "overwrite"),
+        "files of pretrained models": ("models", "offline"),
+        "output": ("strict", "quiet", "json"),
+    },
+    listing=_formats,
+    checks={"format": _check_format},
+)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-prep`; returns the exit code."""
-    return run_command(lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)))
+    return run_command(
+        lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)), PrepOptions
+    )
 
 
 def _parse(arguments: Sequence[str]) -> PrepOptions:
-    import tyro
-
-    given = _refine_as_value(_protect_dashed_paths(arguments))
-    handle_version_flag("ggavatar-prep", given)
-    return tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
+    return parse(PAGE, _refine_as_value(_protect_dashed_paths(arguments)))
 
 
 def _protect_dashed_paths(arguments: Sequence[str]) -> list[str]:
@@ -55,17 +98,6 @@ def _refine_as_value(arguments: Sequence[str]) -> list[str]:
     return result
 
 
-def _description() -> str:
-    """The introduction of the help page."""
-    from preprocess.formats.registry import importer_names
-
-    return (
-        "Make a capture from a portrait video: frames, crop, masks, tracking, and a check of the result.\n\n"
-        f"Formats of --tracking: {', '.join(importer_names())}.\n"
-        "Example: ggavatar-prep video.mp4 -o alice"
-    )
-
-
 def _prepare_resumable(options: PrepOptions) -> int:
     """Prepare; an interrupt tells the user how to resume."""
     try:
@@ -78,6 +110,8 @@ def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and report what was written."""
     # The fit's matrices are small and our own threads already keep the cores busy: OpenBLAS threads would compete.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    check_given(options.input, A_VIDEO)
+    announce_start(options.quiet or options.json)
     from ggavatar.data.capture import Capture
     from preprocess.cli.terminal import Terminal
     from preprocess.pipeline.pipeline import run_pipeline
