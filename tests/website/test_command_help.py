@@ -1,0 +1,66 @@
+"""What the commands print for --help, taken apart: nothing that is printed is lost.
+
+Reference: a help page written out here, and the flags in what the commands print.
+"""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from website.command_help import Box, HelpPage, Option, entry_points, printed_help, read_help
+
+PRINTED = """usage: tool [-h] [OPTIONS] PATH
+
+Do a thing. It takes long.
+
+Names:
+  one, two
+
+╭─ positional arguments ──────────────╮
+│ PATH          A folder. (required)  │
+╰─────────────────────────────────────╯
+╭─ way options ───────────────────────╮
+│ How it is done.                     │
+│ ─────────────────────────────────── │
+│ -o DIR, --output DIR                │
+│               Where to. (required)  │
+│ --way {a,b}   A way; with a break   │
+│               in it. (default: a)   │
+╰─────────────────────────────────────╯
+
+Examples:
+  tool a
+"""
+
+
+def test_a_page_has_its_parts() -> None:
+    assert read_help(PRINTED) == HelpPage(
+        usage="tool [-h] [OPTIONS] PATH",
+        text="Do a thing. It takes long.\n\nNames:\n  one, two\n\n\nExamples:\n  tool a",
+        boxes=(
+            Box("positional arguments", "", (Option("PATH", "A folder. (required)"),)),
+            Box(
+                "way options",
+                "How it is done.",
+                (
+                    Option("-o DIR, --output DIR", "Where to. (required)"),
+                    Option("--way {a,b}", "A way; with a break in it. (default: a)"),
+                ),
+            ),
+        ),
+    )
+
+
+@pytest.mark.parametrize("command", entry_points())
+def test_every_printed_flag_is_an_option(command: str) -> None:
+    """In a narrow window, where meanings are broken over many lines, and in the wide one that pages are made of."""
+    flag = re.compile(r"(?<![\w-])--[a-z][\w.-]*")
+    pages = [read_help(printed_help(command, columns)) for columns in (80, 400)]
+    narrow, wide = ({option.flags for box in page.boxes for option in box.options} for page in pages)
+    assert narrow == wide
+    offered = set(re.findall(r"^│ (-.*?)(?:  |│)", printed_help(command, 400), re.MULTILINE))
+    assert set(flag.findall(" ".join(offered))) == set(flag.findall(" ".join(wide))) != set()
+    assert pages[1].usage.startswith(command) and pages[1].text
+    assert all(option.meaning for box in pages[1].boxes for option in box.options)
