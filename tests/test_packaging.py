@@ -176,6 +176,7 @@ def test_an_installed_command_starts_outside_the_repository(installed: Path, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_the_installed_commands_make_an_avatar(installed: Path, tmp_path: Path) -> None:
     """Every command's help; then person, capture, five steps, report with its templates, and the web page."""
     commands = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]

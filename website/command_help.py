@@ -1,4 +1,4 @@
-"""What a command prints for `--help`, and its parts: the text before the first box, and the boxes with their options."""
+"""What a command prints for `--help`, and its parts: text, and boxes with their options."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pathlib import Path
 from unittest import mock
 
 ROOT = Path(__file__).parents[1]
-COLUMNS = 400
-"""Width of the terminal that is pretended: wide enough for one option a line."""
+COLUMNS = 119
+"""Width of the terminal that is pretended; on wider ones boxes stand side by side."""
 BOX_TOP, BOX_LINE, RULE = re.compile(r"^╭─ (.*?) ─*╮$"), re.compile(r"^│ (.*?)\s*│$"), re.compile(r"^─+$")
 GAP = re.compile(r" {2,}")
 
@@ -55,8 +55,8 @@ def entry_points() -> dict[str, str]:
 def printed_help(command: str, columns: int = COLUMNS) -> str:
     """What `COMMAND --help` prints on a terminal of this width, without colors."""
     module, _, function = entry_points()[command].partition(":")
-    shown = io.StringIO()
-    plain = {"COLUMNS": str(columns), "NO_COLOR": "1", "TERM": "dumb"}
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # boxes are drawn where the encoding has them
+    plain = {"COLUMNS": str(columns), "NO_COLOR": "1"}
     with (
         mock.patch.dict(os.environ, plain),
         mock.patch.object(sys, "argv", [command, "--help"]),
@@ -64,7 +64,8 @@ def printed_help(command: str, columns: int = COLUMNS) -> str:
         contextlib.suppress(SystemExit),
     ):
         getattr(importlib.import_module(module), function)()
-    return shown.getvalue()
+    shown.seek(0)
+    return shown.read()
 
 
 def read_help(printed: str) -> HelpPage:
@@ -95,14 +96,14 @@ def _box(title: str, lines: Iterator[str]) -> Box:
 
 def _options(lines: list[str]) -> Iterator[Option]:
     """Options: a line that begins at the margin opens one, indented lines continue its meaning."""
-    flags, meaning = "", [""]
+    flags = ""
+    meaning: list[str] = []
     for line in lines:
         if line.startswith(" ") or not line:
             meaning.append(line.strip())
             continue
         if flags:
             yield Option(flags, " ".join(filter(None, meaning)))
-        flags, _, first = (*GAP.split(line, maxsplit=1), "")[0], "", (*GAP.split(line, maxsplit=1), "")[1]
-        meaning = [first]
+        flags, *meaning = GAP.split(line, maxsplit=1)
     if flags:
         yield Option(flags, " ".join(filter(None, meaning)))

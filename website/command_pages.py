@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 
 from website.command_help import HelpPage, entry_points, printed_help, read_help
@@ -15,7 +16,7 @@ at hand, and `--version`. Exit codes: 0 success · 1 runtime failure · 2 usage 
 | command | |
 |---|---|
 """
-MARKUP = re.compile(r"([\\`*_{}\[\]<>#|~^])")
+MARKUP = re.compile(r"([\\`*_{}\[\]#|])")
 
 
 def command_pages() -> dict[str, str]:
@@ -29,15 +30,15 @@ def command_pages() -> dict[str, str]:
 
 def summary(page: HelpPage) -> str:
     """The first sentence of a command's description."""
-    return re.split(r"(?<=[.:;]) |\n", page.text, maxsplit=1)[0].rstrip(":;.") + "."
+    return re.split(r"(?<=\.)\s|\n\n", page.text, maxsplit=1)[0]
 
 
 def markdown(name: str, page: HelpPage) -> str:
-    """The page of a command: usage, its introduction as printed, then every option with its meaning."""
-    parts = [f"# {name}", escaped(summary(page)), f"```text\n{page.usage}\n```"]
-    rest = page.text.removeprefix(summary(page)).strip()
-    if rest:
-        parts.append(f"```text\n{rest}\n```")
+    """The page of a command: what it does, its usage, the rest of its introduction as printed, then every option."""
+    first, _, rest = page.text.partition("\n\n")
+    parts = [f"# {name}", escaped(first), f"```text\n{page.usage}\n```"]
+    if rest.strip():
+        parts.append(f"```text\n{rest.strip()}\n```")
     for box in page.boxes:
         parts.append(f"## {box.title[:1].upper()}{box.title[1:]}")
         if box.text:
@@ -48,4 +49,4 @@ def markdown(name: str, page: HelpPage) -> str:
 
 def escaped(text: str) -> str:
     """Plain text as Markdown that shows it as it is."""
-    return MARKUP.sub(r"\\\1", text)
+    return MARKUP.sub(r"\\\1", html.escape(text, quote=False))

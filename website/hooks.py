@@ -13,16 +13,15 @@ from website.command_pages import command_pages
 from website.project_links import PAGES, ROOT, linked_files, with_site_links
 
 NAVIGATION = {
-    "Commands": lambda: ["commands/index.md", *(f"commands/{name}.md" for name in entry_points())],
-    "Methods": lambda: ["methods.md", *_inside("methods")],
+    "Commands": lambda: [{"Overview": "commands/index.md"}, *(f"commands/{name}.md" for name in entry_points())],
+    "Methods": lambda: [{"Overview": "methods.md"}, *_inside("methods")],
 }
 """Sections of the navigation that are filled with whatever there is."""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Fill the sections of the navigation that the configuration leaves empty."""
-    sections: list[dict[str, list[object]]] = config.nav or []
-    for section in sections:
+    for section in (entry for entry in config.nav or [] if isinstance(entry, dict)):
         for title in section.keys() & NAVIGATION.keys():
             section[title] = list(NAVIGATION[title]())
     return config
@@ -34,7 +33,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, path, content=_text(source)))
     for path, text in command_pages().items():
         files.append(File.generated(config, path, content=text))
-    linked = {target for file in files.documentation_pages() for target in linked_files(file.content_string, _origin(file))}
+    linked = {
+        target for file in files.documentation_pages() for target in linked_files(file.content_string, _origin(file))
+    }
     for target in sorted(linked):
         files.append(File.generated(config, target, abs_src_path=str(ROOT / target)))
     return files
@@ -42,6 +43,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn links that are right in the repository into links that are right on the site."""
+    if page.is_homepage:
+        page.meta["hide"] = ["navigation", "toc"]
     return with_site_links(markdown, _origin(page.file))
 
 

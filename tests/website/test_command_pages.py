@@ -23,7 +23,7 @@ def shown(text: str) -> str:
 
 
 def test_text_with_markup_is_shown_as_it_is() -> None:
-    text = "RUN/*/x_y_z <b> [a](b) `c` | {None}|PATH ~5 #1 a*b*c"
+    text = "RUN/*/x_y_z <b> [a](b) `c` | {None}|PATH ~5 #1 a*b*c & &amp;"
     assert shown(escaped(text)) == text
 
 
@@ -31,9 +31,17 @@ def test_a_page_shows_usage_groups_and_options() -> None:
     options = (Option("--way {a,b}", "A *way*. (default: a_b_c)"), Option("PATH", ""))
     page = HelpPage("tool PATH", "Do a thing: well.\n\nNames:\n  one", (Box("way options", "How.", options),))
     text = shown(markdown("tool", page))
-    for part in ("tool PATH", "Do a thing", "Names:\n  one", "Way options", "How.", "--way {a,b}", "A *way*. (default: a_b_c)"):
+    for part in (
+        "tool PATH",
+        "Do a thing",
+        "Names:\n  one",
+        "Way options",
+        "How.",
+        "--way {a,b}",
+        "A *way*. (default: a_b_c)",
+    ):
         assert part in text
-    assert summary(page) == "Do a thing."
+    assert summary(page) == "Do a thing: well."
 
 
 def test_every_command_has_a_page_and_is_in_the_index() -> None:

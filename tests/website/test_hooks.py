@@ -1,36 +1,71 @@
-"""The pages of the site: made ones are added, a broken link stops a strict build, nothing is left out of the menu.
+"""The pages of the site: those that are made are there, and every method has one with a picture.
 
-Also covers `website/hooks.py`. The build of the whole site is `make docs`, which CI runs. Reference: mkdocs itself, on a
-copy of mkdocs.yml with a few pages.
+The build of the whole site is `make docs`, which CI runs: a broken link or a page outside the menu fails there.
+Reference: mkdocs's own collections of files and its menu.
 """
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import pytest
 
 from ggavatar.training import registry
+from website.command_help import entry_points
+
+pytest.importorskip("mkdocs", reason="needs the extra docs")
+
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+
+from website.hooks import on_config
 
 ROOT = Path(__file__).parents[2]
-mkdocs_config = pytest.importorskip("mkdocs.config", reason="needs the extra docs")
-
-from mkdocs.commands.build import build  # noqa: E402 - after the skip
-from mkdocs.structure.files import get_files  # noqa: E402
-from mkdocs.structure.nav import get_navigation  # noqa: E402
-
-from website.hooks import on_config, on_files  # noqa: E402
+METHODS = sorted({path.stem for path in (ROOT / "ggavatar" / "methods").glob("*.py")} & registry.names().keys())
+PAGE = "# A\n\n[c](../CITATION.cff) [r](../README.md) [p](paper.md#a) [gone](gone.md)\n"
 
 
-def test_every_method_has_a_page_with_a_picture_and_a_place_in_the_index() -> None:
-    """Its text is not in docs/methods.md, which is the index: move the section to docs/methods/METHOD.md."""
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A site of one page of ours in mkdocs's plain theme, with our hooks."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "docs").mkdir()
+    (folder / "docs" / "cuda.md").write_text(PAGE, encoding="utf-8")
+    (folder / "mkdocs.yml").write_text(
+        f"site_name: x\nuse_directory_urls: false\nhooks: [{str(ROOT / 'website' / 'hooks.py')!r}]\n"
+        "nav: [index.md, cuda.md, Commands: [], Methods: []]\n",
+        encoding="utf-8",
+    )
+    build(load_config(str(folder / "mkdocs.yml")))
+    return folder / "site"
+
+
+def test_made_pages_and_linked_files_are_there(site: Path) -> None:
+    names = ("index.html", "contributing.html", "changelog.html", "commands/index.html")
+    for name in (*names, *(f"commands/{command}.html" for command in entry_points())):
+        assert (site / name).is_file(), name
+    assert (site / "CITATION.cff").read_bytes() == (ROOT / "CITATION.cff").read_bytes()
+    assert "GGAvatar+" in (site / "index.html").read_text(encoding="utf-8")
+
+
+def test_links_into_the_repository_are_links_of_the_site(site: Path) -> None:
+    page = (site / "cuda.html").read_text(encoding="utf-8")
+    assert 'href="CITATION.cff"' in page and 'href="index.html">r<' in page and 'href="gone.md"' in page
+
+
+def test_the_menu_has_every_command_and_every_method(site: Path) -> None:
+    config = load_config(str(site.parent / "mkdocs.yml"))
+    *_, commands, methods = on_config(config).nav or []
+    assert commands["Commands"][1:] == [f"commands/{name}.md" for name in entry_points()]
+    assert methods["Methods"][1:] == [f"methods/{name}.md" for name in METHODS]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_has_a_page_with_a_picture(name: str) -> None:
+    """docs/methods/METHOD.md, linked in the index docs/methods.md (which holds no section of a method)."""
     index = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
-    assert "\n## " not in index
-    for name in {variant.partition("_with")[0] for variant in registry.names()} & {
-        path.stem for path in (ROOT / "ggavatar" / "methods").glob("*.py")
-    }:
-        page = ROOT / "docs" / "methods" / f"{name}.md"
-        assert page.is_file() and f"(methods/{name}.md)" in index, name
-        assert (ROOT / "docs" / "images" / "methods" / f"{name}.jpg").is_file(), name
-        assert f"../images/methods/{name}.jpg" in page.read_text(encoding="utf-8"), name
+    page = (ROOT / "docs" / "methods" / f"{name}.md").read_text(encoding="utf-8")
+    assert f"(methods/{name}.md)" in index and "\n## " not in index
+    assert f"](../images/methods/{name}.jpg)" in page and f"\n`{name}` · " in page
+    assert (ROOT / "docs" / "images" / "methods" / f"{name}.jpg").is_file()
+    assert "**Idea.**" in page and "**Measured**" in page

@@ -17,7 +17,11 @@ from website.project_links import linked_files, site_path, with_site_links
         ("docs/results.md", "experiments/README.md", "experiments/README.md"),
         ("docs/results.md", "../CONTRIBUTING.md", "contributing.md"),
         ("docs/experiments/README.md", "../results.md", "../results.md"),
-        ("docs/cuda.md", "../benchmarks/results/2026-12-01-launches.json", "benchmarks/results/2026-12-01-launches.json"),
+        (
+            "docs/cuda.md",
+            "../benchmarks/results/2026-12-01-launches.json",
+            "benchmarks/results/2026-12-01-launches.json",
+        ),
         ("docs/experiments/README.md", "../../README.md", "../index.md"),
         ("docs/paper.md", "https://arxiv.org/abs/2405.11993", "https://arxiv.org/abs/2405.11993"),
         ("docs/paper.md", "no-such-page.md", "no-such-page.md"),
