@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from evaluate.protocols.protocol import PROTOCOLS, Protocol, protocol_by_name
-from ggavatar.cli.version import handle_version_flag
+from ggavatar.cli.likely_device import device_default
+from ggavatar.cli.page import CommandPage
+from ggavatar.cli.page import parse as parse_page
+from ggavatar.cli.typed import one_of
 from ggavatar.data.splits import split_name
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions
@@ -23,7 +26,7 @@ class Override:
     split: str | None = None
     """Name of the split whose test frames are scored (every-20th, last-350, ratio-0.8, …), or file:PATH."""
     background: str | None = None
-    """white, black, or R,G,B from 0 to 1."""
+    """Color behind the person: white, black, or R,G,B from 0 to 1."""
     mask: Literal["as-stored", "binary"] | None = None
     """Use the capture's masks as they are, or thresholded at 0.5."""
     region: str | None = None
@@ -165,15 +168,39 @@ class Options:
         return self.override.apply_to(fitting or protocol_by_name("paper").override(split=split))
 
 
+PAGE = CommandPage(
+    program="ggavatar-eval",
+    options=Options,
+    summary="Measure avatars and write tables, figures and a report; check them against limits or earlier results.",
+    examples=(
+        ("ggavatar-eval runs/alice --table", "score a run on its test frames and print the table"),
+        (
+            "ggavatar-eval --pred renders --capture captures/alice --label mine --table --with-paper",
+            "pictures of your own beside the paper's rows",
+        ),
+        ("ggavatar-eval runs/alice --compare baseline.json --tolerance psnr=0.1", "fail a build that got worse"),
+    ),
+    groups={
+        "output": ("table", "output", "layout", "labels", "no_report", "json", "quiet"),
+        "what is measured": ("protocol", *(field.name for field in fields(Override)), "no_learned", "reenact"),
+        "the paper's numbers": ("with_paper", "paper_subjects"),
+        "pictures of any origin": tuple(field.name for field in fields(Folders)),
+        "gates (exit code 3)": tuple(field.name for field in fields(Gates)),
+        "how it is computed": ("capture", "device", "threads", "again", "models", "offline"),
+        "a file of Gaussians in place of a run": ("axes", "scales", "opacities", "head_model", "flame_params"),
+    },
+    defaults=device_default,
+    checks={"protocol": one_of("--protocol", ("auto", *PROTOCOLS))},
+)
+
+
 def parse(arguments: list[str] | None) -> Options:
     """Parse the command line; an unknown flag exits with code 2 and suggests the nearest known one.
 
     Raises:
         InputError: Neither runs nor folders, or flags that contradict one another.
     """
-    handle_version_flag("ggavatar-eval", arguments)
-    options = tyro.cli(Options, prog="ggavatar-eval", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
-    options = _with_clean_names(options)
+    options = _with_clean_names(parse_page(PAGE, arguments))
     _check_sources(options)
     if options.labels and len(options.labels) != len(options.runs):
         found = f"{len(options.labels)} for {len(options.runs)} runs"

@@ -27,17 +27,17 @@ class TrackingOptions:
 class PrepOptions:
     """Turn a portrait video into a capture that `ggavatar-train` can read."""
 
-    input: tyro.conf.Positional[Path]
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="VIDEO|FRAMES")]
     """A video file, or a folder of PNG or JPEG frames."""
 
-    output_dir: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output_dir: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="CAPTURE")]
     """Capture folder to write."""
 
     tracking: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Another tracker's output, a folder or file; the built-in tracker runs if not given."""
 
     format: str = "auto"
-    """Format of `--tracking`: one of the names listed above, or auto to detect it."""
+    """Format of `--tracking`: one of the names listed, or auto to detect it."""
 
     head_model: Annotated[Path | None, tyro.conf.arg(aliases=["--head"], metavar="PATH")] = None
     """Head model of `--tracking` (required with it): head.npz, FLAME (pkl or npz), GNM (npz) or ICT-FaceKit (folder).

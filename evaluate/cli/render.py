@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tyro
-
-from evaluate.rendering.options import Options, check
+from evaluate.rendering.options import PAGE, Options, check
+from ggavatar.cli.page import parse
 from ggavatar.cli.progress import show_progress
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.text.terminal import write_out
 
 
@@ -15,8 +13,7 @@ def main() -> int:
     """Run the command; the exit code is 0 done, 1 failure, 2 bad input, 130 interrupted."""
 
     def body() -> None:
-        handle_version_flag("ggavatar-render")
-        options = tyro.cli(Options, prog="ggavatar-render", description=Options.__doc__)
+        options: Options = parse(PAGE)
         check(options)
         from evaluate.rendering.jobs import render
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 import threading
 
-import tyro
-
-from evaluate.viewer.options import WAIT, Options, check, with_first_camera
+from evaluate.viewer.options import PAGE, WAIT, Options, check, with_first_camera
+from ggavatar.cli.page import parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.text.terminal import write_err
 
 
@@ -17,10 +15,9 @@ def main() -> int:
     """Run the command; Ctrl-C is how it ends, with exit code 0; 1 failure, 2 bad input."""
 
     def body() -> None:
-        handle_version_flag("ggavatar-view")
         is_companion = sys.argv[-1] == WAIT
         arguments = with_first_camera(sys.argv[1:-1] if is_companion else sys.argv[1:])
-        options = tyro.cli(Options, prog="ggavatar-view", description=Options.__doc__, args=arguments)
+        options: Options = parse(PAGE, arguments)
         check(options)
         from evaluate.viewer.session import view
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
+from ggavatar.cli.likely_device import device_default
+from ggavatar.cli.page import CommandPage
+from ggavatar.cli.training_help import BACKEND_NAMES
+from ggavatar.cli.typed import one_of
 from ggavatar.data.background import parse_background
 from ggavatar.errors import InputError
 from ggavatar.formats.driving_options import RenderDrivingOptions
@@ -18,10 +22,10 @@ from ggavatar.formats.source_options import GaussianFileOptions, is_gaussian_fil
 class Options:
     """Render a trained avatar: the frames of a split (default), an orbit around the head, or a driving sequence."""
 
-    run: tyro.conf.Positional[Path]
+    run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN|FILE")]
     """Run folder of ggavatar-train, avatar file (.ggavatar), or FILE of Gaussians: PLY, .splat, .spz, SOG."""
     source: tyro.conf.OmitArgPrefixes[GaussianFileOptions] = field(default_factory=GaussianFileOptions)
-    output_dir: Annotated[Path | None, tyro.conf.arg(aliases=("-o",))] = None
+    output_dir: Annotated[Path | None, tyro.conf.arg(aliases=("-o",), metavar="DIR")] = None
     """Output folder; by default RUN/renders/WHAT."""
     split: Literal["test", "train", "all"] = "test"
     """Which frames of the run's own capture to render."""
@@ -44,7 +48,7 @@ class Options:
     width: int | None = None
     """Image width, px; the height follows from the aspect ratio. By default the capture's."""
     background: str | None = None
-    """white, black, or R,G,B from 0 to 1; by default the run's own."""
+    """Color behind the person: white, black, or R,G,B from 0 to 1; by default the run's own."""
     alpha: bool = False
     """Also write RGBA images with straight alpha."""
     video: bool = True
@@ -54,13 +58,42 @@ class Options:
     step: int | None = None
     """Step of the checkpoint; by default the newest."""
     device: str = "auto"
-    """auto, cpu, cuda, cuda:N or mps."""
+    """Device of the rendering: auto, cpu, cuda, cuda:N or mps."""
     backend: str = "auto"
-    """Rasterizer, as in ggavatar-train."""
+    """Rasterizer: auto, cpu, triton, gsplat or reference."""
     resume: bool = False
     """Resume an interrupted call: keep the images that are already there."""
     overwrite: bool = False
     """Replace the output of an earlier call."""
+
+
+PAGE = CommandPage(
+    program="ggavatar-render",
+    options=Options,
+    summary="Render a trained avatar: the frames of a split, an orbit around the head, or a driving performance.",
+    examples=(
+        ("ggavatar-render runs/alice", "the test frames, beside the truth, as PNG and video"),
+        ("ggavatar-render runs/alice --orbit --views 60", "around the head"),
+        ("ggavatar-render runs/alice --drive captures/bob -o bob-drives-alice", "with another person's performance"),
+    ),
+    groups={
+        "what is rendered": ("split", "orbit", "drive", "frames", "beside"),
+        "the orbit": ("yaw", "pitch", "views"),
+        "how --drive carries a performance over": tuple(field.name for field in fields(RenderDrivingOptions)),
+        "pictures": ("width", "background", "alpha", "video", "fps"),
+        "what is written": ("output_dir", "resume", "overwrite"),
+        "the run, and where it is computed": ("capture", "step", "device", "backend"),
+        "a file of Gaussians in place of a run": (
+            "axes",
+            "scales",
+            "opacities",
+            "head_model",
+            "flame_params",
+        ),
+    },
+    defaults=device_default,
+    checks={"backend": one_of("--backend", BACKEND_NAMES)},
+)
 
 
 def check(options: Options) -> None:

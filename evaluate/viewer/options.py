@@ -9,6 +9,10 @@ from typing import Annotated
 
 import tyro
 
+from ggavatar.cli.likely_device import device_default
+from ggavatar.cli.page import CommandPage
+from ggavatar.cli.training_help import BACKEND_NAMES
+from ggavatar.cli.typed import one_of
 from ggavatar.data.background import parse_background
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions
@@ -36,11 +40,31 @@ class Options:
     public: bool = False
     """Let other computers connect too: whoever reaches this one can watch and move what is shown."""
     background: str | None = None
-    """white, black, or R,G,B from 0 to 1; by default the run's own."""
+    """Color behind the person: white, black, or R,G,B from 0 to 1; by default the run's own."""
     device: str = "auto"
-    """auto, cpu, cuda, cuda:N or mps."""
+    """Device of the rendering: auto, cpu, cuda, cuda:N or mps."""
     backend: str = "auto"
-    """Rasterizer, as in ggavatar-train."""
+    """Rasterizer: auto, cpu, triton, gsplat or reference."""
+
+
+PAGE = CommandPage(
+    program="ggavatar-view",
+    options=Options,
+    summary="Show a run, a capture or a file of Gaussians in a browser: turn it, move its face, play it, compare it.",
+    examples=(
+        ("ggavatar-view runs/alice", "an avatar, also while it trains"),
+        ("ggavatar-view captures/alice", "a capture: pictures, masks, head and findings"),
+        ("ggavatar-view runs/alice --webcam", "an avatar that follows your face"),
+    ),
+    groups={
+        "what is shown": ("webcam", "background", "capture"),
+        "the address": ("port", "public"),
+        "where it is computed": ("device", "backend"),
+        "a file of Gaussians in place of a run": ("axes", "scales", "opacities", "head_model", "flame_params"),
+    },
+    defaults=device_default,
+    checks={"backend": one_of("--backend", BACKEND_NAMES)},
+)
 
 
 def check(options: Options) -> None:

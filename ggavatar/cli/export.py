@@ -5,15 +5,16 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import Positional, arg
 
+from ggavatar.cli.likely_device import device_default
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
@@ -49,7 +50,7 @@ class Arguments:
     format: str | None = None
     """Of a run or avatar file: web (a page that shows and drives it), avatar (one file that the commands open like the
     run), ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz or glb;
-    of a capture: see above. By default that of the suffix of --output, else ply."""
+    of a capture or of renderings: those listed. By default that of the suffix of --output, else ply."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
     """File or folder to write; RUN/exports/…, FILE.FORMAT or CAPTURE-FORMAT if not given."""
     neutral: bool = False
@@ -64,7 +65,7 @@ class Arguments:
     step: int | None = None
     """Step of the checkpoint; the newest if not given."""
     device: str = "auto"
-    """auto, cpu, cuda, cuda:N or mps."""
+    """Device of the rendering: auto, cpu, cuda, cuda:N or mps."""
     overwrite: bool = False
     """Replace an earlier export."""
     reading: tyro.conf.OmitArgPrefixes[GaussianReadingOptions] = field(default_factory=GaussianReadingOptions)
@@ -84,25 +85,41 @@ class Arguments:
         return sum([bool(self.frame), self.drive is not None, self.neutral])
 
 
+def _layouts() -> list[str]:
+    return [
+        "formats (--format), by what is exported:",
+        f"  run, avatar file     {', '.join(RUN_FORMATS)}",
+        f"  file of Gaussians    {', '.join(SPLAT_FORMATS)}",
+        f"  capture              {', '.join(capture_formats()) or 'none installed'}",
+        f"  rendered frames      {SUBMISSION} (NeRSemble's benchmark)",
+    ]
+
+
+PAGE = CommandPage(
+    program="ggavatar-export",
+    options=Arguments,
+    summary="Write a trained avatar or a file of Gaussians for other programs, or a capture for other trainers.",
+    examples=(
+        ("ggavatar-export runs/alice -o alice.html", "a page that shows and drives the avatar in any browser"),
+        ("ggavatar-export runs/alice -o alice.ggavatar", "one file that every command opens like the run"),
+        ("ggavatar-export captures/alice --format vhap", "a capture for GaussianAvatars"),
+    ),
+    groups={
+        "what is written": ("format", "output", "overwrite"),
+        "pose of the avatar": ("neutral", "frame", "drive"),
+        "the run": ("capture", "step", "device"),
+        "how --drive carries a performance over": tuple(field.name for field in fields(DrivingOptions)),
+        "pages and avatar files": tuple(field.name for field in fields(WebOptions)),
+        "files of Gaussians": tuple(field.name for field in fields(GaussianReadingOptions)),
+    },
+    defaults=device_default,
+    listing=_layouts,
+)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-export; returns the exit code (0 success, 1 failure, 2 invalid input)."""
-    return run_command(lambda: _export(_parse(None if arguments is None else list(arguments))))
-
-
-def _parse(given: list[str] | None) -> Arguments:
-    handle_version_flag("ggavatar-export", given)
-    config = (tyro.conf.FlagCreatePairsOff,)
-    return tyro.cli(Arguments, prog="ggavatar-export", args=given, description=_description(), config=config)
-
-
-def _description() -> str:
-    layouts = ", ".join(capture_formats()) or "none installed"
-    return (
-        f"{Arguments.__doc__}\n\nFormats of a capture: {layouts}.\n"
-        f"Of rendered frames: {SUBMISSION} (NeRSemble's benchmark).\n"
-        "Examples: ggavatar-export runs/me -o me.html, ggavatar-export runs/me --format spz, "
-        "ggavatar-export face.sog -o face.glb, ggavatar-export data/me --format vhap"
-    )
+    return run_command(lambda: _export(parse(PAGE, arguments)))
 
 
 def _export(arguments: Arguments) -> int:

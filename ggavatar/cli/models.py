@@ -10,8 +10,8 @@ from typing import Annotated
 
 import tyro
 
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError
 from ggavatar.pretrained.catalogue import MODELS, Model
 from ggavatar.pretrained.resolve import ModelFinder, ModelUnavailable, files_of, model_named
@@ -34,14 +34,22 @@ class Arguments:
     """Never use the network, as $GGAVATAR_OFFLINE=1."""
 
 
+PAGE = CommandPage(
+    program="ggavatar-models",
+    options=Arguments,
+    summary="List the files of pretrained models; fetch the missing ones, or verify those that are here.",
+    examples=(
+        ("ggavatar-models", "which models there are, which are here, and what they are for"),
+        ("ggavatar-models --fetch vgg16 lpips_alex", "fetch two of them"),
+        ("ggavatar-models --all --models models", "fetch all into a folder, for a computer without network"),
+    ),
+    groups={"what is done": ("fetch", "all", "verify"), "where the files are": ("models", "offline")},
+)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-models; returns the exit code (0 success, 1 failure, 2 missing or damaged file)."""
-    return run_command(lambda: _models(_parse(None if arguments is None else list(arguments))))
-
-
-def _parse(given: list[str] | None) -> Arguments:
-    handle_version_flag("ggavatar-models", given)
-    return tyro.cli(Arguments, prog="ggavatar-models", args=given, config=(tyro.conf.FlagCreatePairsOff,))
+    return run_command(lambda: _models(parse(PAGE, arguments)))
 
 
 def _models(arguments: Arguments) -> int:

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
 from tyro.conf import Positional, UseAppendAction, arg
 
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
+from ggavatar.cli.training_help import method_lines, training_defaults
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError
 from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.held_folders import make_folder
@@ -57,9 +57,9 @@ class Arguments:
     retries: int = 0
     """How many times a failed cell is resumed from its last checkpoint; invalid input is not retried."""
     preset: Literal["default", "fast", "paper"] | None = None
-    """Passed to ggavatar-train, like --steps, --split, --device, --max-gaussians and --set."""
+    """default: suited to the device; fast: a preview within minutes; paper: 120,000 steps, as published."""
     steps: int | None = None
-    """Number of steps of every training."""
+    """Number of steps of every training; every schedule scales with it."""
     minutes: float | None = None
     """Minutes of wall time per training, instead of --steps; a 100-step pilot measures the speed."""
     split: str | None = None
@@ -76,14 +76,29 @@ class Arguments:
     """Do not evaluate; run ggavatar-eval later."""
 
 
+PAGE = CommandPage(
+    program="ggavatar-sweep",
+    options=Arguments,
+    summary="Train and evaluate a grid of captures, methods and seeds; run the same command again to resume it.",
+    examples=(
+        ("ggavatar-sweep captures/alice captures/bob -o sweep", "our method on two captures, in one table"),
+        ("ggavatar-sweep captures/alice -o sweep --methods ggavatar gaussian_avatars --minutes 10", "at equal time"),
+        ("ggavatar-sweep captures/alice -o sweep --seeds 1 2 3 --jobs 3", "mean and deviation over three seeds"),
+    ),
+    groups={
+        "the grid": ("output", "methods", "seeds", "train_only"),
+        "every training": ("preset", "steps", "minutes", "split", "device", "background", "max_gaussians", "set"),
+        "where the trainings run": ("backend", "jobs", "gpus_per_job", "cpus_per_job", "retries"),
+    },
+    defaults=lambda: {name: value for name, value in training_defaults().items() if name != "backend"},
+    listing=method_lines,
+    checks={"methods": registry.check_name},
+)
+
+
 def main() -> int:
     """Entry point of ggavatar-sweep."""
-    return run_command(lambda: sweep(_parse()))
-
-
-def _parse() -> Arguments:
-    handle_version_flag("ggavatar-sweep")
-    return tyro.cli(Arguments, prog="ggavatar-sweep")
+    return run_command(lambda: sweep(parse(PAGE)))
 
 
 def sweep(arguments: Arguments) -> int:

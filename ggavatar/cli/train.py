@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import tyro
-from tyro.conf import AvoidSubcommands, Positional, UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
+from ggavatar.cli.training_help import BACKEND_NAMES, method_lines, training_defaults
+from ggavatar.cli.typed import one_of
 from ggavatar.cli.viewer_process import viewer_beside
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 from ggavatar.pretrained.folders import export_choice
@@ -31,21 +32,21 @@ class Arguments:
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder of the run."""
     method: Annotated[Positional[str | None], arg(metavar="METHOD")] = None
-    """Method or variant, as listed above; ggavatar if not given."""
+    """Method or variant, one of those listed; ggavatar if not given."""
     preset: Literal["default", "fast", "paper"] | None = None
     """default: suited to the device; fast: a preview within minutes; paper: 120,000 steps, as published."""
     steps: int | None = None
     """Number of training steps; every schedule scales with it."""
     seed: int | None = None
-    """Seed of all random numbers; 42 if not given."""
+    """Seed of all random numbers."""
     device: str | None = None
-    """auto, cpu, cuda, cuda:N or mps."""
+    """Device of the training: auto, cpu, cuda, cuda:N or mps."""
     backend: str | None = None
-    """Rasterizer: auto, cpu, triton, gsplat or reference."""
+    """Rasterizer: auto, cpu, triton, gsplat or reference; auto takes the fastest that can run."""
     split: str | None = None
     """Frames to train and test on: every-20th (as in the paper), last-350, last-500, ratio-0.8 or file:PATH."""
     background: str | None = None
-    """white, black, or R,G,B from 0 to 1."""
+    """Color behind the person: white, black, or R,G,B from 0 to 1."""
     max_gaussians: int | None = None
     """Largest number of Gaussians."""
     eval_every: int | None = None
@@ -68,19 +69,31 @@ class Arguments:
     """Print errors only."""
 
 
+PAGE = CommandPage(
+    program="ggavatar-train",
+    options=Arguments,
+    summary="Train an avatar on a capture and write a run folder. Ctrl-C saves the state; --resume continues it.",
+    examples=(
+        ("ggavatar-train captures/alice -o runs/alice", "an avatar by the paper's method, as suits this computer"),
+        ("ggavatar-train captures/alice -o runs/quick --preset fast", "a preview within minutes"),
+        ("ggavatar-train captures/alice gaussian_avatars -o runs/ga --steps 20000", "a baseline, of a given length"),
+    ),
+    groups={
+        "what is trained": ("output", "preset", "steps", "seed", "split", "background", "max_gaussians", "set"),
+        "where it is computed": ("device", "backend"),
+        "during the training": ("eval_every", "save_every", "view", "quiet"),
+        "an earlier run in the folder": ("resume", "overwrite"),
+        "files of pretrained models": ("models", "offline"),
+    },
+    defaults=training_defaults,
+    listing=method_lines,
+    checks={"method": registry.check_name, "backend": one_of("--backend", BACKEND_NAMES)},
+)
+
+
 def train() -> int:
     """Entry point of ggavatar-train."""
-    return run_command(lambda: _train(_parse()))
-
-
-def _parse() -> Arguments:
-    handle_version_flag("ggavatar-train")
-    return tyro.cli(AvoidSubcommands[Arguments], prog="ggavatar-train", description=_description())
-
-
-def _description() -> str:
-    methods = "\n".join(f"  {name}: {text}" for name, text in registry.names().items())
-    return f"Train an avatar on a capture folder.\n\nMethods:\n{methods}"
+    return run_command(lambda: _train(parse(PAGE)))
 
 
 def _train(arguments: Arguments) -> int:

@@ -11,8 +11,8 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import InputError
 from ggavatar.text.terminal import write_err, write_out
 
@@ -39,14 +39,26 @@ class DemoOptions:
     """Replace the files of an earlier demo in the same folder."""
 
 
+PAGE = CommandPage(
+    program="ggavatar-demo",
+    options=DemoOptions,
+    summary="Write a generated, license-free person as a user's data: video, masks, tracking, head model and truth.",
+    examples=(
+        ("ggavatar-demo -o demo --frames 120 --size 256", "a short clip, to try the other commands with"),
+        ("ggavatar-demo -o demo --id 3 --background busy", "another person, in a room"),
+        ("ggavatar-demo -o demo --noise 1", "with tracking as monocular trackers give it"),
+    ),
+    groups={
+        "who and what": ("output_dir", "identity", "frames", "size", "background"),
+        "tracking": ("noise", "seed"),
+        "an earlier demo in the folder": ("overwrite",),
+    },
+)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ggavatar-demo`; returns the exit code."""
-    return run_command(lambda: _write(_parse(arguments)))
-
-
-def _parse(arguments: list[str] | None) -> DemoOptions:
-    handle_version_flag("ggavatar-demo", arguments)
-    return tyro.cli(DemoOptions, args=arguments, prog="ggavatar-demo", description=DemoOptions.__doc__)
+    return run_command(lambda: _write(parse(PAGE, arguments)))
 
 
 def _check(options: DemoOptions) -> None:

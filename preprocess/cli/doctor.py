@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
 from ggavatar.errors import GateError
 from ggavatar.text.terminal import write_out
 
@@ -39,14 +39,24 @@ class DoctorOptions:
     """Write nothing into the capture folder."""
 
 
+PAGE = CommandPage(
+    program="ggavatar-doctor",
+    options=DoctorOptions,
+    summary=(
+        "Report what is wrong with a capture and which flag fixes it; writes doctor.json and preview.jpg into it."
+    ),
+    examples=(
+        ("ggavatar-doctor captures/alice", "the findings, worst first, and the flags that fix them"),
+        ("ggavatar-doctor captures/alice --strict --dry-run", "for a script: exit code 3 for a fault, nothing written"),
+        ("ggavatar-doctor captures/alice --json", "the whole report for a program"),
+    ),
+    groups={"what is done with the report": ("strict", "json", "dry_run")},
+)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-doctor`; returns the exit code."""
-    return run_command(lambda: _examine(_parse(None if arguments is None else list(arguments))))
-
-
-def _parse(arguments: list[str] | None) -> DoctorOptions:
-    handle_version_flag("ggavatar-doctor", arguments)
-    return tyro.cli(DoctorOptions, prog="ggavatar-doctor", args=arguments)
+    return run_command(lambda: _examine(parse(PAGE, arguments)))
 
 
 def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:

@@ -11,10 +11,53 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.run import run_command
-from ggavatar.cli.version import handle_version_flag
+from ggavatar.cli.typed import one_of
 from ggavatar.errors import GateError
 from preprocess.options import PrepOptions
+
+
+def _formats() -> list[str]:
+    from preprocess.formats.registry import importer_names
+
+    return [f"formats of --tracking: {', '.join(importer_names())}"]
+
+
+def _check_format(name: str) -> None:
+    """Raise an `InputError` for a format that is not installed."""
+    from preprocess.formats.registry import importer_names
+
+    known = [one.replace("_", "-") for one in importer_names()]
+    one_of("--format", ("auto", *known))(name.replace("_", "-"))
+
+
+PAGE = CommandPage(
+    program="ggavatar-prep",
+    options=PrepOptions,
+    summary="Make a capture from a portrait video: frames, crop, masks, tracking, and a check of the result.",
+    examples=(
+        ("ggavatar-prep alice.mp4 -o captures/alice", "a video, with our own masks and tracking"),
+        ("ggavatar-prep alice.mp4 -o captures/alice --start 2 --end 30 --size 384", "a part of it, smaller"),
+        (
+            "ggavatar-prep frames -o captures/alice --tracking vhap --head-model flame2023.pkl --masks masks",
+            "frames with masks and the tracking of another program",
+        ),
+    ),
+    groups={
+        "what is written": ("output_dir", "size", "crop", "split", "subject"),
+        "frames of the video": ("start", "end", "frames", "fps", "camera"),
+        "frames that are left out": ("keep_faceless", "cut", "drop_repeated"),
+        "masks": ("masks", "invert_masks"),
+        "tracking by another program": ("tracking", "format", "head_model", "frame_offset", "fix"),
+        "tracking by this program": ("focal", "expressions", "smooth", "refine"),
+        "an earlier capture in the folder": ("resume", "overwrite"),
+        "files of pretrained models": ("models", "offline"),
+        "output": ("strict", "quiet", "json"),
+    },
+    listing=_formats,
+    checks={"format": _check_format},
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,11 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments: Sequence[str]) -> PrepOptions:
-    import tyro
-
-    given = _refine_as_value(_protect_dashed_paths(arguments))
-    handle_version_flag("ggavatar-prep", given)
-    return tyro.cli(PrepOptions, prog="ggavatar-prep", args=given, description=_description())
+    return parse(PAGE, _refine_as_value(_protect_dashed_paths(arguments)))
 
 
 def _protect_dashed_paths(arguments: Sequence[str]) -> list[str]:
@@ -53,17 +92,6 @@ def _refine_as_value(arguments: Sequence[str]) -> list[str]:
         else:
             result.append(argument)
     return result
-
-
-def _description() -> str:
-    """The introduction of the help page."""
-    from preprocess.formats.registry import importer_names
-
-    return (
-        "Make a capture from a portrait video: frames, crop, masks, tracking, and a check of the result.\n\n"
-        f"Formats of --tracking: {', '.join(importer_names())}.\n"
-        "Example: ggavatar-prep video.mp4 -o alice"
-    )
 
 
 def _prepare_resumable(options: PrepOptions) -> int:
