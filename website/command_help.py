@@ -1,4 +1,4 @@
-"""What a command prints for `--help`, and its parts: text, and boxes with their options."""
+"""What a command prints for `--help`, and its parts: what it does, and sections of options or of lines to read."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from pathlib import Path
 from unittest import mock
 
 ROOT = Path(__file__).parents[1]
-COLUMNS = 119
-"""Width of the terminal that is pretended; on wider ones boxes stand side by side."""
-BOX_TOP, BOX_LINE, RULE = re.compile(r"^╭─ (.*?) ─*╮$"), re.compile(r"^│ (.*?)\s*│$"), re.compile(r"^─+$")
-GAP = re.compile(r" {2,}")
+TITLE = re.compile(r"^(\S.*):$")
+ITEM = re.compile(r"^  (\S.*?)(?:  +(\S.*))?$")
+"""A line of a section that is not indented further: an option, with its meaning where that is short."""
+ARGUMENTS = "arguments"
+"""Title of the section of positional arguments; options are known by their dashes."""
 
 
 @dataclass(frozen=True)
@@ -30,21 +31,27 @@ class Option:
 
 
 @dataclass(frozen=True)
-class Box:
-    """A group of options with its title and introduction."""
+class Section:
+    """A section of a help page.
+
+    Attributes:
+        title: What stands above it.
+        lines: It as printed, without the indentation.
+        options: What the lines say, where they are options or arguments.
+    """
 
     title: str
-    text: str
-    options: tuple[Option, ...]
+    lines: tuple[str, ...]
+    options: tuple[Option, ...] = ()
 
 
 @dataclass(frozen=True)
 class HelpPage:
-    """A help page: its usage line, the text around the boxes, and the boxes."""
+    """A help page: its usage line, what the command does, and the sections."""
 
     usage: str
     text: str
-    boxes: tuple[Box, ...]
+    sections: tuple[Section, ...]
 
 
 def entry_points() -> dict[str, str]:
@@ -52,13 +59,12 @@ def entry_points() -> dict[str, str]:
     return dict(tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"])
 
 
-def printed_help(command: str, columns: int = COLUMNS) -> str:
+def printed_help(command: str, columns: int = 112) -> str:
     """What `COMMAND --help` prints on a terminal of this width, without colors."""
     module, _, function = entry_points()[command].partition(":")
-    shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # boxes are drawn where the encoding has them
-    plain = {"COLUMNS": str(columns), "NO_COLOR": "1"}
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     with (
-        mock.patch.dict(os.environ, plain),
+        mock.patch.dict(os.environ, {"COLUMNS": str(columns), "NO_COLOR": "1"}),
         mock.patch.object(sys, "argv", [command, "--help"]),
         contextlib.redirect_stdout(shown),
         contextlib.suppress(SystemExit),
@@ -70,40 +76,32 @@ def printed_help(command: str, columns: int = COLUMNS) -> str:
 
 def read_help(printed: str) -> HelpPage:
     """The parts of a printed help page."""
-    outside: list[str] = []
-    boxes: list[Box] = []
-    lines = iter(printed.splitlines())
-    for line in lines:
-        if top := BOX_TOP.match(line):
-            boxes.append(_box(top[1], lines))
+    usage, _, rest = printed.strip().partition("\n\n")
+    text, sections = [], []
+    for block in re.split(r"\n\n+(?=\S)", rest):
+        first, *lines = block.splitlines()
+        title = TITLE.match(first)
+        if title and lines:
+            sections.append(_section(title[1], lines))
         else:
-            outside.append(line)
-    usage, _, text = "\n".join(outside).strip().partition("\n\n")
-    return HelpPage(usage.removeprefix("usage: "), text.strip(), tuple(boxes))
+            text.append(block)
+    return HelpPage(usage.removeprefix("usage: "), "\n\n".join(text), tuple(sections))
 
 
-def _box(title: str, lines: Iterator[str]) -> Box:
-    """The box whose top has been read: what stands above its rule is its introduction."""
-    inside: list[str] = []
-    for line in lines:
-        if not (match := BOX_LINE.match(line)):
-            break
-        inside.append(match[1])
-    rules = [place for place, line in enumerate(inside) if RULE.match(line)]
-    start = rules[0] + 1 if rules else 0
-    return Box(title, " ".join(inside[: max(start - 1, 0)]), tuple(_options(inside[start:])))
+def _section(title: str, lines: list[str]) -> Section:
+    shown = tuple(line.removeprefix("  ") for line in lines)
+    has_options = title == ARGUMENTS or shown[0].startswith("-")
+    return Section(title, shown, tuple(_options(lines)) if has_options else ())
 
 
 def _options(lines: list[str]) -> Iterator[Option]:
-    """Options: a line that begins at the margin opens one, indented lines continue its meaning."""
-    flags = ""
-    meaning: list[str] = []
+    """Options: a line that is indented by two opens one, others continue its meaning."""
+    flags, meaning = "", ""
     for line in lines:
-        if line.startswith(" ") or not line:
-            meaning.append(line.strip())
+        if not (item := ITEM.match(line)):
+            meaning = f"{meaning} {line.strip()}".strip()
             continue
         if flags:
-            yield Option(flags, " ".join(filter(None, meaning)))
-        flags, *meaning = GAP.split(line, maxsplit=1)
-    if flags:
-        yield Option(flags, " ".join(filter(None, meaning)))
+            yield Option(flags, meaning)
+        flags, meaning = item[1], item[2] or ""
+    yield Option(flags, meaning)

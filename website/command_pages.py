@@ -30,20 +30,17 @@ def command_pages() -> dict[str, str]:
 
 def summary(page: HelpPage) -> str:
     """The first sentence of a command's description."""
-    return re.split(r"(?<=\.)\s|\n\n", page.text, maxsplit=1)[0]
+    return re.split(r"(?<=\.)\s|\n\n", page.text, maxsplit=1)[0].replace("\n", " ")
 
 
 def markdown(name: str, page: HelpPage) -> str:
-    """The page of a command: what it does, its usage, the rest of its introduction as printed, then every option."""
-    first, _, rest = page.text.partition("\n\n")
-    parts = [f"# {name}", escaped(first), f"```text\n{page.usage}\n```"]
-    if rest.strip():
-        parts.append(f"```text\n{rest.strip()}\n```")
-    for box in page.boxes:
-        parts.append(f"## {box.title[:1].upper()}{box.title[1:]}")
-        if box.text:
-            parts.append(escaped(box.text))
-        parts += [f"`{option.flags}`\n:   {escaped(option.meaning) or '–'}" for option in box.options]
+    """The page of a command: what it does, its usage, then every section."""
+    parts = [f"# {name}", escaped(page.text), f"```text\n{page.usage}\n```"]
+    for section in page.sections:
+        parts.append(f"## {section.title[:1].upper()}{section.title[1:]}")
+        if not section.options:
+            parts.append("```text\n{}\n```".format("\n".join(section.lines)))
+        parts += [f"`{option.flags}`\n:   {escaped(option.meaning) or '–'}" for option in section.options]
     return "\n\n".join(parts) + "\n"
 
 

@@ -9,43 +9,47 @@ import re
 
 import pytest
 
-from website.command_help import Box, HelpPage, Option, entry_points, printed_help, read_help
+from website.command_help import HelpPage, Option, Section, entry_points, printed_help, read_help
 
-PRINTED = """usage: tool [-h] [OPTIONS] PATH
+PRINTED = """usage: tool PATH -o DIR [options]
 
-Do a thing. It takes long.
+Do a thing. It
+takes long.
 
-Names:
-  one, two
+names (NAME):
+  one   the first, which is
+        long
+    one_other
+  two
 
-╭─ positional arguments ──────────────╮
-│ PATH          A folder. (required)  │
-╰─────────────────────────────────────╯
-╭─ way options ───────────────────────╮
-│ How it is done.                     │
-│ ─────────────────────────────────── │
-│ -o DIR, --output DIR                │
-│               Where to. (required)  │
-│ --way {a,b}   A way; with a break   │
-│               in it. (default: a)   │
-╰─────────────────────────────────────╯
+examples:
+  tool a -o b
+      what it is for
 
-Examples:
-  tool a
+arguments:
+  PATH          A folder. (required)
+
+the way:
+  -o, --output DIR
+                Where to: here. (required)
+  --way {a,b}   A way; with a break
+                in it. (default: a)
 """
 
 
 def test_a_page_has_its_parts() -> None:
     assert read_help(PRINTED) == HelpPage(
-        usage="tool [-h] [OPTIONS] PATH",
-        text="Do a thing. It takes long.\n\nNames:\n  one, two\n\n\nExamples:\n  tool a",
-        boxes=(
-            Box("positional arguments", "", (Option("PATH", "A folder. (required)"),)),
-            Box(
-                "way options",
-                "How it is done.",
+        usage="tool PATH -o DIR [options]",
+        text="Do a thing. It\ntakes long.",
+        sections=(
+            Section("names (NAME)", ("one   the first, which is", "      long", "  one_other", "two")),
+            Section("examples", ("tool a -o b", "    what it is for")),
+            Section("arguments", ("PATH          A folder. (required)",), (Option("PATH", "A folder. (required)"),)),
+            Section(
+                "the way",
+                tuple(line[2:] for line in PRINTED.splitlines()[-4:]),
                 (
-                    Option("-o DIR, --output DIR", "Where to. (required)"),
+                    Option("-o, --output DIR", "Where to: here. (required)"),
                     Option("--way {a,b}", "A way; with a break in it. (default: a)"),
                 ),
             ),
@@ -55,11 +59,12 @@ def test_a_page_has_its_parts() -> None:
 
 @pytest.mark.parametrize("command", entry_points())
 def test_every_printed_flag_is_an_option(command: str) -> None:
-    """Flags are those at the margin of boxes in a narrow window, where more lines are broken than on the page."""
+    """Flags are those that begin a line in a narrow window, where more lines are broken than on the page."""
     flag = re.compile(r"(?<![\w-])--[a-z][\w.-]*")
-    margin = re.findall(r"^│ (-.*?)(?:  |│$)", printed_help(command, 80), re.MULTILINE)
+    margin = re.findall(r"^  (-.*?)(?:  |$)", printed_help(command, 70), re.MULTILINE)
     page = read_help(printed_help(command))
-    options = [option for box in page.boxes for option in box.options]
+    options = [option for section in page.sections for option in section.options]
     assert set(flag.findall(" ".join(margin))) == set(flag.findall(" ".join(option.flags for option in options)))
     assert "--help" in {name for option in options for name in option.flags.split(", ")}
     assert page.usage.startswith(command) and page.text and all(option.meaning for option in options)
+    assert any(section.title == "examples" and not section.options for section in page.sections)

@@ -10,7 +10,7 @@ import re
 
 import pytest
 
-from website.command_help import Box, HelpPage, Option, entry_points
+from website.command_help import HelpPage, Option, Section, entry_points
 from website.command_pages import command_pages, escaped, markdown, summary
 
 markdown_library = pytest.importorskip("markdown", reason="needs the extra docs")
@@ -27,18 +27,18 @@ def test_text_with_markup_is_shown_as_it_is() -> None:
     assert shown(escaped(text)) == text
 
 
-def test_a_page_shows_usage_groups_and_options() -> None:
+def test_a_page_shows_usage_sections_and_options() -> None:
     options = (Option("--way {a,b}", "A *way*. (default: a_b_c)"), Option("PATH", ""))
-    page = HelpPage("tool PATH", "Do a thing: well.\n\nNames:\n  one", (Box("way options", "How.", options),))
+    sections = (Section("the way", ("...",), options), Section("examples", ("tool *a*", "    <b>")))
+    page = HelpPage("tool PATH", "Do a thing:\nwell. It takes long.", sections)
     text = shown(markdown("tool", page))
     for part in (
         "tool PATH",
-        "Do a thing",
-        "Names:\n  one",
-        "Way options",
-        "How.",
+        "well. It takes",
+        "The way",
         "--way {a,b}",
         "A *way*. (default: a_b_c)",
+        "tool *a*\n    <b>",
     ):
         assert part in text
     assert summary(page) == "Do a thing: well."
