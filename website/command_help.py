@@ -59,7 +59,7 @@ def entry_points() -> dict[str, str]:
     return dict(tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"])
 
 
-def printed_help(command: str, columns: int = 112) -> str:
+def printed_help(command: str, columns: int = 84) -> str:
     """What `COMMAND --help` prints on a terminal of this width, without colors."""
     module, _, function = entry_points()[command].partition(":")
     shown = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
