@@ -29,7 +29,7 @@ from evaluate.tables.format_terminal import show
 from evaluate.tables.paper_aligned import parse_paper_subjects
 from evaluate.tables.table import Table
 from evaluate.tables.write import build_tables, write_copies, write_tables
-from ggavatar.cli.progress import show_progress
+from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
 from ggavatar.formats.avatar_suffix import is_avatar_file
@@ -197,6 +197,7 @@ def _collect(options: Options) -> tuple[list[Evaluated], list[Path]]:
         if not is_avatar and (path.is_file() or (path / METRICS_FILE).is_file()):
             found.append(_stored(path))
             continue
+        announce_start(options.quiet)
         from evaluate.scoring.run import evaluate_run
 
         with ExitStack() as stack:
@@ -224,6 +225,7 @@ def _collect_pictures(options: Options) -> tuple[list[Evaluated], list[Path]]:
     """Evaluations of pictures made elsewhere, and the files written for them."""
     if not options.folders.pred and not options.folders.pred_as:
         return [], []
+    announce_start(options.quiet)
     from evaluate.scoring.pictures import evaluate_pictures, find_pictures
 
     found: list[Evaluated] = []

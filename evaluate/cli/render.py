@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from evaluate.rendering.options import PAGE, Options, check
 from ggavatar.cli.page import parse
-from ggavatar.cli.progress import show_progress
+from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.text.terminal import write_out
 
@@ -15,6 +15,7 @@ def main() -> int:
     def body() -> None:
         options: Options = parse(PAGE)
         check(options)
+        announce_start()
         from evaluate.rendering.jobs import render
 
         with show_progress("rendering") as progress:

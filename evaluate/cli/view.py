@@ -7,6 +7,7 @@ import threading
 
 from evaluate.viewer.options import PAGE, WAIT, Options, check, with_first_camera
 from ggavatar.cli.page import parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.text.terminal import write_err
 
@@ -19,6 +20,7 @@ def main() -> int:
         arguments = with_first_camera(sys.argv[1:-1] if is_companion else sys.argv[1:])
         options: Options = parse(PAGE, arguments)
         check(options)
+        announce_start()
         from evaluate.viewer.session import view
 
         try:

@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg
 
 from ggavatar.cli.likely_device import device_default
 from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.avatar_suffix import is_avatar_file
@@ -242,6 +243,7 @@ def _export_run(arguments: Arguments) -> list[str]:
         raise InputError(
             f"{arguments.source}: --axes, --scales and --opacities belong to a file of Gaussians; omit them"
         )
+    announce_start()
     from ggavatar.formats.any_avatar import open_avatar
     from ggavatar.formats.drives import frame_drives, neutral_drive
     from ggavatar.formats.export import BOUND_FORMAT, POINT_CLOUD_FILE, export_bound, export_splats

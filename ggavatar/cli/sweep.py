@@ -20,6 +20,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.cli.training_help import method_lines, training_defaults
 from ggavatar.errors import EXIT_FAILURE, EXIT_INTERRUPTED, InputError
@@ -133,6 +134,7 @@ def check(arguments: Arguments, cells: Sequence[Cell]) -> None:
     _flags(arguments)
     for program in ("ggavatar-train",) if arguments.train_only else ("ggavatar-train", "ggavatar-eval"):
         find_console_script(program)
+    announce_start()
     from ggavatar.sweeps.checks import check_cells  # torch, which --help does without
 
     names = [*PASSED_ON, "set"]

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.cli.training_help import BACKEND_NAMES, method_lines, training_defaults
 from ggavatar.cli.typed import one_of
@@ -97,6 +98,7 @@ def train() -> int:
 
 
 def _train(arguments: Arguments) -> int:
+    announce_start(arguments.quiet)
     from ggavatar.training.finite_guard import TrainingError
     from ggavatar.training.session import TrainingInterrupted, train_run
 

@@ -1,6 +1,6 @@
 """Progress of a training: the `Listener` protocol, and a line on the console that follows the steps.
 
-On a terminal one line is updated in place; elsewhere a plain line is written every few seconds.
+On a terminal one line is updated in place; elsewhere a few plain lines are written (`ggavatar.text.clocked_lines`).
 """
 
 from __future__ import annotations
@@ -10,10 +10,8 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
+from ggavatar.text.clocked_lines import LineSchedule, RateMeter
 from ggavatar.text.terminal import write_out
-
-PLAIN_INTERVAL = 10.0
-"""Least time between two plain lines, s."""
 
 LIVE_INTERVAL = 0.25
 """Least time between two updates of a line on a terminal, s."""
@@ -50,27 +48,34 @@ class NullListener:
 
 
 class ConsoleListener:
-    """A listener that keeps one line up to date on a terminal, and prints one every `PLAIN_INTERVAL` s elsewhere."""
+    """A listener that keeps one line up to date on a terminal, and prints some elsewhere."""
 
     def __init__(self, first: int, total: int) -> None:
         self._total = total
         self._meter = RateMeter(first)
         self._last_output = time.monotonic()
+        self._schedule = LineSchedule(self._last_output)
         self._psnr: float | None = None
         self._live = _start_live_line() if sys.stdout.isatty() else None
 
     def step(self, step: int, loss: Callable[[], float], gaussians: int) -> None:
         """Show the state after a step, at most a few times a second."""
-        now = time.monotonic()
-        if step < self._total and now - self._last_output < (LIVE_INTERVAL if self._live else PLAIN_INTERVAL):
+        if step < self._total and not self._is_due(step):
             return
-        self._last_output = now
+        self._last_output = time.monotonic()
         text = self._text(step, loss(), gaussians)
         if self._live:
             self._live.update(text, refresh=True)
         else:
             write_out(text)
             sys.stdout.flush()
+
+    def _is_due(self, step: int) -> bool:
+        """Whether the line is to be updated, or another one written."""
+        now = time.monotonic()
+        if self._live:
+            return now - self._last_output >= LIVE_INTERVAL
+        return self._schedule.is_due(now, self._meter.left(step, self._total))
 
     def evaluated(self, step: int, psnr: float) -> None:
         """Remember the latest test PSNR for the line."""
@@ -92,26 +97,6 @@ class ConsoleListener:
         return " · ".join(parts)
 
 
-class RateMeter:
-    """Mean speed of some work, and the time left at that speed."""
-
-    def __init__(self, first: int = 0, started: float | None = None) -> None:
-        """Measure from a moment at which `first` parts of the work are done.
-
-        Args:
-            first: Parts that are done.
-            started: The moment, as of `time.monotonic`; now by default.
-        """
-        self._first = first
-        self._started = time.monotonic() if started is None else started
-
-    def describe(self, done: int, total: int) -> tuple[str, str]:
-        """Speed and time left, as in `("12.5 it/s", "ETA 1:30")`, when `done` of `total` has just been reached."""
-        rate = (done - self._first) / max(time.monotonic() - self._started, 1e-9)
-        left = (total - done) / rate if rate else 0.0
-        return f"{rate:.1f} it/s", f"ETA {format_duration(left)}"
-
-
 def _start_live_line() -> Any:
     """A line of rich that is updated in place."""
     from rich.live import Live
@@ -119,13 +104,6 @@ def _start_live_line() -> Any:
     live = Live("", auto_refresh=False, transient=False)
     live.start()
     return live
-
-
-def format_duration(seconds: float) -> str:
-    """Seconds as h:mm:ss or m:ss."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 def peak_memory_mib() -> int | None:

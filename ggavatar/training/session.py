@@ -19,6 +19,7 @@ from ggavatar.io.json_files import write_sealed_json
 from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
+from ggavatar.text.clocked_lines import waiting
 from ggavatar.text.terminal import write_out
 from ggavatar.training import registry
 from ggavatar.training.changed_settings import changed_settings
@@ -81,7 +82,8 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
         if options.get("resume") and _expect_run(output):
             with lock_folder(output):
                 config, split = _resumed(output, capture, options), read_split(output)
-                trainer = make_trainer(output, config, capture, split)
+                with waiting("preparing the avatar", quiet):
+                    trainer = make_trainer(output, config, capture, split)
                 remove_leftovers(output)
                 done = _train(trainer, trainer.resume(), config, capture, stop, (quiet, watched))
         else:
@@ -89,7 +91,8 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             config, split = configure(capture, options)
             check_run_folder(output, overwrite)
             config = with_settled_features(config)
-            trainer = make_trainer(output, config, capture, split)
+            with waiting("preparing the avatar", quiet):
+                trainer = make_trainer(output, config, capture, split)
             make_folder(output)  # the input is usable: a failed start leaves nothing behind
             with lock_folder(output):
                 create_run_folder(output, overwrite)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import InputError
-from ggavatar.text.terminal import write_err, write_out
+from ggavatar.text.terminal import write_out
 
 
 @dataclass(frozen=True)
@@ -74,6 +72,7 @@ def _check(options: DemoOptions) -> None:
 
 def _write(options: DemoOptions) -> None:
     _check(options)
+    announce_start()
     from ggavatar.io.folder_lock import lock_folder
     from ggavatar.io.held_folders import make_folder
     from preprocess.synthetic.demo import DemoSettings, write_demo
@@ -85,24 +84,11 @@ def _write(options: DemoOptions) -> None:
     make_folder(folder)
     with lock_folder(folder):
         prepare_demo_folder(folder, overwrite=overwrite)
-        for _ in _with_progress(write_demo(folder, DemoSettings(**values)), options.frames):
-            pass
+        with show_progress("rendering") as show:
+            for index in write_demo(folder, DemoSettings(**values)):
+                show(index + 1, options.frames)
     write_out(
         f"wrote {folder}",
         f"next: ggavatar-prep {folder / 'video.mp4'} --tracking {folder / 'tracking'} "
         f"--masks {folder / 'masks'} --head-model {folder / 'head.npz'} --size {options.size} -o capture",
     )
-
-
-def _with_progress(work: Iterator[int], total: int) -> Iterator[int]:
-    """Yield the frame numbers and show progress: a bar on a terminal, else a line for every tenth of the frames."""
-    console = Console(stderr=True)
-    if console.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console) as progress:
-            yield from progress.track(work, total=total, description="rendering")
-        return
-    for index in work:
-        if (index + 1) % max(1, total // 10) == 0 or index + 1 == total:
-            write_err(f"rendered {index + 1} of {total} frames")
-        yield index

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 import tyro
 
 from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError
+from ggavatar.text.clocked_lines import waiting
 from ggavatar.text.terminal import write_out
 
 if TYPE_CHECKING:
@@ -79,6 +81,7 @@ def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:
 def _examine(options: DoctorOptions) -> int:
     import json
 
+    announce_start(options.json)
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head
     from preprocess.cli.terminal import report_lines
@@ -86,7 +89,8 @@ def _examine(options: DoctorOptions) -> int:
 
     capture = Capture.open(options.capture)
     head = load_head(capture.head_path)
-    diagnosis = examine(capture, head)
+    with waiting("examining", options.json):
+        diagnosis = examine(capture, head)
     if not options.dry_run:
         _write(capture, head, diagnosis)
     if options.json:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ggavatar.cli.page import CommandPage, parse
+from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.cli.typed import one_of
 from ggavatar.errors import GateError
@@ -106,6 +107,7 @@ def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and report what was written."""
     # The fit's matrices are small and our own threads already keep the cores busy: OpenBLAS threads would compete.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    announce_start(options.quiet or options.json)
     from ggavatar.data.capture import Capture
     from preprocess.cli.terminal import Terminal
     from preprocess.pipeline.pipeline import run_pipeline

@@ -1,4 +1,4 @@
-"""Terminal output of `ggavatar-prep`: one live progress line per stage on a terminal, plain lines elsewhere."""
+"""Terminal output of `ggavatar-prep`: one live progress line per stage on a terminal, a few plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ggavatar.text.clocked_lines import ClockedLines
 from ggavatar.text.terminal import write_err, write_out
 from preprocess.options import PrepOptions
 from preprocess.pipeline.stage import Stage
@@ -32,9 +33,14 @@ class Terminal:
         with Progress(
             *columns, console=self._errors, transient=True, disable=self._quiet or not self._errors.is_terminal
         ) as progress:
-            line = _StageLine(progress, stage.title, self._warnings, self._notes)
+            lines = None if self._quiet or self._errors.is_terminal or skipped else ClockedLines(stage.title)
+            line = _StageLine(progress, lines, stage.title, self._warnings, self._notes)
             began = time.monotonic()
-            yield line
+            try:
+                yield line
+            finally:
+                if lines is not None:
+                    lines.close()
         if not self._quiet:
             done = "unchanged" if skipped else f"{line.done or ''} {time.monotonic() - began:.1f} s".strip()
             write_err(f"{stage.title}: {done}")
@@ -58,8 +64,10 @@ class Terminal:
 class _StageLine:
     """Reporter of one stage."""
 
-    def __init__(self, progress: Progress, title: str, warnings: list[str], notes: list[str]) -> None:
-        self._progress, self._warnings, self._notes = progress, warnings, notes
+    def __init__(
+        self, progress: Progress, lines: ClockedLines | None, title: str, warnings: list[str], notes: list[str]
+    ) -> None:
+        self._progress, self._lines, self._warnings, self._notes = progress, lines, warnings, notes
         self._task = progress.add_task(title, total=None)
         self.done = 0
 
@@ -67,6 +75,8 @@ class _StageLine:
         """Show the number of items done."""
         self.done = max(self.done, done)
         self._progress.update(self._task, completed=done, total=total)
+        if self._lines is not None:
+            self._lines.show(done, total)
 
     def warn(self, message: str) -> None:
         """Keep a warning for the summary."""

@@ -33,6 +33,9 @@ def test_a_computer_without_a_driver_has_no_device(monkeypatch: pytest.MonkeyPat
 
 
 def test_it_needs_no_torch() -> None:
-    code = "import sys; from ggavatar.cli.likely_device import likely_device; likely_device(); print('torch' in sys.modules)"
+    code = (
+        "import sys; from ggavatar.cli.likely_device import likely_device; likely_device(); "
+        "print('torch' in sys.modules)"
+    )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert shown.strip() == "False"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import io
 import sys
+import time
 
 import pytest
 
 from ggavatar.cli import progress
-from ggavatar.cli.progress import show_progress
+from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import InputError
+from ggavatar.text import clocked_lines
 
 
 class Terminal(io.StringIO):
@@ -24,7 +26,8 @@ class Terminal(io.StringIO):
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Seconds as the module sees them."""
     now = [100.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(clocked_lines.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(clocked_lines, "TICK", 3600.0)  # lines come with the work alone, so that they are the same
     return now
 
 
@@ -38,9 +41,7 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return stream
 
 
-def test_plain_lines_come_every_ten_seconds_and_at_the_end(
-    clock: list[float], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_plain_lines_come_now_and_then_and_at_the_end(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     with show_progress("rendering") as report:
         for done in range(1, 101):
             clock[0] += 0.25
@@ -48,7 +49,9 @@ def test_plain_lines_come_every_ten_seconds_and_at_the_end(
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err.splitlines() == [
+        "rendering 20/100 · 4.0 it/s · ETA 0:20",
         "rendering 40/100 · 4.0 it/s · ETA 0:15",
+        "rendering 60/100 · 4.0 it/s · ETA 0:10",
         "rendering 80/100 · 4.0 it/s · ETA 0:05",
         "rendering 100/100 in 0:25",
     ]
@@ -107,6 +110,27 @@ def test_a_bar_without_any_work_is_never_shown(monkeypatch: pytest.MonkeyPatch) 
     with show_progress("rendering"):
         pass
     assert "rendering" not in terminal.getvalue()
+
+
+def test_a_bar_appears_even_if_no_part_gets_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    monkeypatch.setattr(progress, "PATIENCE", 0.01)
+    with show_progress("rendering"):
+        for _ in range(500):
+            if "rendering" in terminal.getvalue():
+                break
+            time.sleep(0.01)
+    assert "rendering" in terminal.getvalue() and terminal.getvalue().rstrip().endswith("\x1b[?25h")
+
+
+def test_the_first_line_says_what_is_loaded(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "torch", raising=False)
+    announce_start(quiet=True)
+    assert capsys.readouterr().err == ""
+    announce_start()
+    assert capsys.readouterr().err == "starting: loading torch\n"
 
 
 def test_a_command_that_fails_removes_its_bar_before_the_message(monkeypatch: pytest.MonkeyPatch) -> None:

