@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from website.api_reference import REFERENCE, reference_page
 from website.command_help import entry_points
 from website.command_pages import command_pages
 from website.project_links import PAGES, ROOT, linked_files, with_site_links
 
-NAVIGATION = {
+NAVIGATION: Mapping[str, Callable[[], list[Any]]] = {
     "Commands": lambda: [{"Overview": "commands/index.md"}, *(f"commands/{name}.md" for name in entry_points())],
     "Methods": lambda: [{"Overview": "methods.md"}, *_inside("methods")],
+    "API": lambda: [*_there("api.md", "plugins.md"), REFERENCE],
 }
 """Sections of the navigation that are filled with whatever there is."""
 
@@ -23,21 +27,23 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Fill the sections of the navigation that the configuration leaves empty."""
     for section in (entry for entry in config.nav or [] if isinstance(entry, dict)):
         for title in section.keys() & NAVIGATION.keys():
-            section[title] = list(NAVIGATION[title]())
+            section[title] = NAVIGATION[title]()
     return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages that are not in docs/, and the files that pages link to."""
+    """Add the pages that are not in docs/, and the files that pages link to, and those that these link to."""
     for source, path in PAGES.items():
         files.append(File.generated(config, path, content=_text(source)))
-    for path, text in command_pages().items():
+    for path, text in {**command_pages(), REFERENCE: reference_page()}.items():
         files.append(File.generated(config, path, content=text))
-    linked = {
-        target for file in files.documentation_pages() for target in linked_files(file.content_string, _origin(file))
-    }
-    for target in sorted(linked):
-        files.append(File.generated(config, target, abs_src_path=str(ROOT / target)))
+    waiting = list(files.documentation_pages())
+    while waiting:
+        page = waiting.pop()
+        for target in linked_files(page.content_string, _origin(page)):
+            if files.get_file_from_path(target) is None:
+                files.append(File.generated(config, target, abs_src_path=str(ROOT / target)))
+                waiting += [file for file in files.documentation_pages() if file.src_uri == target]
     return files
 
 
@@ -51,7 +57,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 def _origin(file: File) -> str:
     """Where a page is in the repository; a page that is made here counts as one of docs/."""
     sources = {path: source for source, path in PAGES.items()}
-    return sources.get(file.src_uri, f"docs/{file.src_uri}")
+    inside = f"docs/{file.src_uri}"
+    is_outside = not (ROOT / inside).is_file() and (ROOT / file.src_uri).is_file()
+    return sources.get(file.src_uri, file.src_uri if is_outside else inside)
 
 
 def _text(name: str) -> str:
@@ -61,3 +69,8 @@ def _text(name: str) -> str:
 def _inside(folder: str) -> list[str]:
     """Pages of a folder of docs/, by name."""
     return sorted(f"{folder}/{path.name}" for path in Path(ROOT / "docs" / folder).glob("*.md"))
+
+
+def _there(*names: str) -> list[str]:
+    """Those pages of docs/ that exist."""
+    return [name for name in names if (ROOT / "docs" / name).is_file()]
