@@ -29,6 +29,7 @@ from evaluate.tables.format_terminal import show
 from evaluate.tables.paper_aligned import parse_paper_subjects
 from evaluate.tables.table import Table
 from evaluate.tables.write import build_tables, write_copies, write_tables
+from ggavatar.cli.given import A_CAPTURE, AN_AVATAR, EVALUATION, Expected, check_given
 from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
 from ggavatar.errors import GateError, InputError
@@ -43,13 +44,14 @@ from ggavatar.text.terminal import write_err, write_out
 
 TABLES = "table"
 """What tables and figures are locked as in their folder; a run may be trained meanwhile, under a lock of its own."""
+SCORED = Expected({EVALUATION, *AN_AVATAR.kinds}, f"{AN_AVATAR.text}, an evaluation folder or a metrics.json")
 WIDTH = 160
 """Width of a table that is not printed on a terminal, characters."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code: 0 done, 1 failed, 2 bad input, 3 a gate failed."""
-    return run_command(lambda: _evaluate(parse(arguments)))
+    return run_command(lambda: _evaluate(parse(arguments)), Options)
 
 
 def _evaluate(options: Options) -> int:
@@ -62,6 +64,7 @@ def _evaluate(options: Options) -> int:
 
 def _evaluate_all(options: Options) -> int:
     """Score the given runs or folders, write and print tables and figures, then check the gates."""
+    _check_paths(options)
     console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else WIDTH)
     limits = read_limits(options.gates)
     _check_paper_subjects(options)
@@ -90,6 +93,15 @@ def _evaluate_all(options: Options) -> int:
             write_out(f"{'pass' if check.passed else 'FAIL'} {check.case}: {check.message}")
         write_out(*(f"wrote {path}" for path in written))
     return _finish(options, evaluations, written, checks)
+
+
+def _check_paths(options: Options) -> None:
+    """Raise `InputError` for a path that is surely of the wrong kind."""
+    for path in options.runs:
+        check_given(path, SCORED)
+    for capture in (options.source.capture, *options.reenact):
+        if capture is not None:
+            check_given(capture, A_CAPTURE)
 
 
 def _reenact(options: Options, folder: Path, console: Console) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from evaluate.rendering.options import PAGE, Options, check
+from ggavatar.cli.given import AN_AVATAR, check_given
 from ggavatar.cli.page import parse
 from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
@@ -15,6 +16,7 @@ def main() -> int:
     def body() -> None:
         options: Options = parse(PAGE)
         check(options)
+        check_given(options.run, AN_AVATAR)
         announce_start()
         from evaluate.rendering.jobs import render
 
@@ -22,4 +24,4 @@ def main() -> int:
             written = render(options, progress)
         write_out(*map(str, written))
 
-    return run_command(body)
+    return run_command(body, Options)

@@ -34,14 +34,14 @@ def match_basis(driver: DrivingSequence, target: DrivingSequence, force: bool = 
     if not same and basis_family(driver.head_version) != basis_family(target.head_version):
         raise InputError(
             f"expected a driving sequence for the head {target.head_version!r}, found {driver.head_version!r}, whose "
-            "coefficients mean different things; prepare both videos in the same way (both without --tracking, or both "
-            "with one tracker and one --head-model) and train on one of them"
+            "coefficients mean different things; prepare both videos in the same way (both without ggavatar-prep "
+            "--tracking, or both with one tracker and one head model) and train on one of them"
         )
     if not same and not force:
         raise InputError(
             f"expected {count} coefficients of {target.head_version!r}, found {driver.expression.shape[1]} of "
-            f"{driver.head_version!r}; track both with one head model, or pass --force-basis to fill with zeros and "
-            "drop surplus coefficients"
+            f"{driver.head_version!r}; track both with one head model, or let ggavatar-render --force-basis fill "
+            "with zeros and drop surplus coefficients"
         )
     expression = np.zeros((len(driver.frames), count))
     shared = min(count, driver.expression.shape[1])
@@ -96,7 +96,9 @@ def drives_and_cameras(sequence: DrivingSequence, head: HeadModel) -> Iterator[t
     """
     cameras = sequence.cameras
     if cameras is None:
-        raise InputError("expected a driving sequence with cameras, found none; use --transfer relative")
+        raise InputError(
+            "expected a driving sequence with cameras, found none; use ggavatar-render --transfer relative"
+        )
     for row, frame in enumerate(sequence.frames):
         joints, translation = _tensor(sequence.joint_rotations[row], head), _tensor(sequence.translation[row], head)
         view = _tensor(cameras.world_to_camera[row], head)

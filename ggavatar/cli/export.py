@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import Positional, arg
 
+from ggavatar.cli.given import A_CAPTURE, AN_AVATAR, CAPTURE, check_given, clean_stem, kind_of
 from ggavatar.cli.likely_device import device_default
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
@@ -120,7 +121,7 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-export; returns the exit code (0 success, 1 failure, 2 invalid input)."""
-    return run_command(lambda: _export(parse(PAGE, arguments)))
+    return run_command(lambda: _export(parse(PAGE, arguments)), Arguments)
 
 
 def _export(arguments: Arguments) -> int:
@@ -134,6 +135,7 @@ def _export(arguments: Arguments) -> int:
     _check_web_options(arguments)
     if arguments.driving != DrivingOptions() and arguments.drive is None:
         raise InputError("--transfer, --pose, --smooth, --limit and the like belong to --drive; leave them out")
+    _check_source(arguments)
     exporter = _exporter(arguments)
     if arguments.capture is not None and exporter is not _export_run:
         raise InputError(f"{arguments.source}: --capture belongs to a run, found another source; leave it out")
@@ -141,6 +143,21 @@ def _export(arguments: Arguments) -> int:
         lines = exporter(arguments)
     write_out(*lines)
     return 0
+
+
+def _check_source(arguments: Arguments) -> None:
+    """Refuse a source that the format cannot be made of, and say which format it has."""
+    if arguments.kind == SUBMISSION:
+        return
+    source = arguments.source
+    if arguments.format is None and kind_of(source) == CAPTURE:
+        layouts = capture_formats()
+        example = f"ggavatar-export {source} --format {layouts[0] if layouts else 'LAYOUT'}"
+        raise InputError(
+            f"{source}: expected a run folder, found a capture; for other trainers ({', '.join(layouts)}): {example}; "
+            f"for an avatar, train on it first: ggavatar-train {source} -o runs/{clean_stem(source)}"
+        )
+    check_given(source, AN_AVATAR if arguments.kind in RUN_FORMATS else A_CAPTURE)
 
 
 def _check_web_options(arguments: Arguments) -> None:

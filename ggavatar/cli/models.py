@@ -49,7 +49,7 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of ggavatar-models; returns the exit code (0 success, 1 failure, 2 missing or damaged file)."""
-    return run_command(lambda: _models(parse(PAGE, arguments)))
+    return run_command(lambda: _models(parse(PAGE, arguments)), Arguments)
 
 
 def _models(arguments: Arguments) -> int:

@@ -19,6 +19,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from ggavatar.cli.given import TO_TRAIN_ON, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
@@ -99,11 +100,13 @@ PAGE = CommandPage(
 
 def main() -> int:
     """Entry point of ggavatar-sweep."""
-    return run_command(lambda: sweep(parse(PAGE)))
+    return run_command(lambda: sweep(parse(PAGE)), Arguments)
 
 
 def sweep(arguments: Arguments) -> int:
     """Train the missing cells, report failures, evaluate into a table, and return the exit code."""
+    for capture in arguments.captures:
+        check_given(capture, TO_TRAIN_ON)
     backend = make_backend(arguments)
     cells = grid(arguments)
     check(arguments, cells)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from ggavatar.cli.given import TO_TRAIN_ON, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
@@ -94,10 +95,11 @@ PAGE = CommandPage(
 
 def train() -> int:
     """Entry point of ggavatar-train."""
-    return run_command(lambda: _train(parse(PAGE)))
+    return run_command(lambda: _train(parse(PAGE)), Arguments)
 
 
 def _train(arguments: Arguments) -> int:
+    check_given(arguments.capture, TO_TRAIN_ON)
     announce_start(arguments.quiet)
     from ggavatar.training.finite_guard import TrainingError
     from ggavatar.training.session import TrainingInterrupted, train_run

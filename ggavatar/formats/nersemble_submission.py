@@ -106,7 +106,9 @@ def _frames(folder: Path) -> list[Path]:
         header = image_header(path)
         if (header.width, header.height) != (SIDE, SIDE):
             found = f"{header.width}×{header.height}"
-            raise InputError(f"{path}: expected {SIDE}×{SIDE} px, found {found}; render with --width {SIDE}")
+            raise InputError(
+                f"{path}: expected {SIDE}×{SIDE} px, found {found}; render with ggavatar-render --width {SIDE}"
+            )
     return [images[number] for number in range(len(images))]
 
 

@@ -14,6 +14,7 @@ head and neck in front of green (`--background 0,1,0`); for a fair table, all me
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -166,7 +167,6 @@ class FlashAvatar(StepCounter):
         self.poses = HeadPoses.of(self.head, scene.drives)
         samples = surface_samples(config, scene, self.poses)
         self.network = make_network(config, scene)
-        self.network_optimizer = torch.optim.Adam(self.network.parameters(), config.network_rate, fused=True)
         self.rows = initial_rows(config, samples)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
         self.boxes = RegionBoxes(self.head)
@@ -198,6 +198,11 @@ class FlashAvatar(StepCounter):
             boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image * frame.alpha, frame.image * frame.alpha, step, boxes))
         return terms
+
+    @functools.cached_property
+    def network_optimizer(self) -> torch.optim.Optimizer:
+        """Adam for the network, made when it is first used."""
+        return torch.optim.Adam(self.network.parameters(), self.config.network_rate, fused=True)
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         """Adam for the rows and Adam for the network."""

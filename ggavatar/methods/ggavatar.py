@@ -10,6 +10,7 @@ Comments number the paper's equations; docs/paper.md lists the choices where the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -202,7 +203,6 @@ class GGAvatar(StepCounter):
         self.neutral_local_frames = triangle_frames(self.head.neutral(), self.head.faces)
         self.rows = bound_rows(self.head, rates(config), config.sh_degree, seeded(scene.seed, 4))
         self.adjuster = make_adjuster(config, scene) if config.adjuster else None
-        self.adjuster_optimizer = adjuster_optimizer(config, self.adjuster) if self.adjuster else None
         self.density = density_control(config, scene)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
         self.boxes = RegionBoxes(self.head)
@@ -245,6 +245,11 @@ class GGAvatar(StepCounter):
             boxes = self.boxes.of(frame) if self.perceptual.crops else []
             terms.update(self.perceptual(rendering.image, frame.image, step, boxes))  # Eq. 16
         return terms
+
+    @functools.cached_property
+    def adjuster_optimizer(self) -> torch.optim.Optimizer | None:
+        """Adam for the adjuster, made when it is first used."""
+        return adjuster_optimizer(self.config, self.adjuster) if self.adjuster else None
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         """Adam for the rows and Adam for the adjuster."""

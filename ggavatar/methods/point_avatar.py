@@ -7,6 +7,7 @@ and normals are shaded in camera axes: the same up to a rigid transform of the s
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
@@ -204,10 +205,7 @@ class PointAvatar(StepCounter):
         shapes = len(self.targets.blendshapes[0])
         self.deformer = PointDeformer(shapes, len(self.head.parents) + 1, self._generator(3))
         self.shading = ShadingNetwork(self._generator(4))
-        networks = [*self.surface.parameters(), *self.deformer.parameters(), *self.shading.parameters()]
-        self.optimizer = torch.optim.Adam(networks, lr=config.rate, betas=(0.9, 0.999), eps=1e-8, fused=True)
         self.corrections = corrections(config, scene)
-        self.corrections_optimizer = sparse_adam(config, self.corrections)
         crops = CropSampler(config.crop_side, config.crop_probability) if config.perceptual_mode == "crops" else None
         self.boxes = RegionBoxes(self.head)
         self.perceptual = PerceptualTerm(
@@ -252,6 +250,17 @@ class PointAvatar(StepCounter):
         bases = self.deformer.bases(points)
         targets = self.targets.losses(bases, points + bases.offsets)
         return terms | {name: weight * value for name, value in targets.items()}
+
+    @functools.cached_property
+    def optimizer(self) -> torch.optim.Optimizer:
+        """Adam for the networks, made when it is first used."""
+        networks = [*self.surface.parameters(), *self.deformer.parameters(), *self.shading.parameters()]
+        return torch.optim.Adam(networks, lr=self.config.rate, betas=(0.9, 0.999), eps=1e-8, fused=True)
+
+    @functools.cached_property
+    def corrections_optimizer(self) -> torch.optim.Optimizer | None:
+        """The authors' SparseAdam, made when it is first used; None without corrections."""
+        return sparse_adam(self.config, self.corrections) if self.corrections is not None else None
 
     def optimizers(self) -> list[torch.optim.Optimizer]:
         """Adam for the points, Adam for the networks, and the optimizer of the corrections."""
@@ -370,17 +379,15 @@ def corrections(config: Config, scene: Scene) -> DriveCorrections | None:
     if not config.tracking_rate or not any(drive.frame is not None for drive in scene.drives):
         return None
     rate = config.tracking_rate
-    return DriveCorrections(scene.drives, CorrectionRates(rate, rate, rate / UNITS_PER_METER))
-
-
-def sparse_adam(config: Config, module: DriveCorrections | None) -> torch.optim.Optimizer | None:
-    """The authors' SparseAdam: corrections and moments of a frame change only in steps that use the frame."""
-    if module is None:
-        return None
+    module = DriveCorrections(scene.drives, CorrectionRates(rate, rate, rate / UNITS_PER_METER))
     for parameter in module.parameters():
         parameter.register_post_accumulate_grad_hook(_make_sparse)
-    groups = [{"params": group["params"], "lr": group["lr"]} for group in module.optimizer.param_groups]
-    return torch.optim.SparseAdam(groups, lr=config.tracking_rate)
+    return module
+
+
+def sparse_adam(config: Config, module: DriveCorrections) -> torch.optim.Optimizer:
+    """The authors' SparseAdam: corrections and moments of a frame change only in steps that use the frame."""
+    return torch.optim.SparseAdam(module.groups, lr=config.tracking_rate)
 
 
 def _make_sparse(parameter: Tensor) -> None:

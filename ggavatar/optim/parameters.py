@@ -30,6 +30,8 @@ class Column(NamedTuple):
 class Rows(nn.Module):
     """Row-aligned learnable and carried columns, with one optimizer for all learnable ones.
 
+    The optimizer is made when it is first used: an avatar that is only rendered has none, which saves the second in
+    which the first optimizer of a process imports torch's compiler.
     The number of rows is part of the state: `load_state_dict` accepts any number and resizes the object to it.
     """
 
@@ -39,7 +41,7 @@ class Rows(nn.Module):
         carried: Mapping[str, Tensor] | None = None,
         make_optimizer: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None,
     ) -> None:
-        """Copy the columns and build their optimizer.
+        """Copy the columns.
 
         Args:
             learnable: Columns to optimize, by name.
@@ -59,10 +61,11 @@ class Rows(nn.Module):
         counts = {name: len(values) for name, values in self.columns().items()}
         if len(set(counts.values())) != 1:
             raise ValueError(f"expected columns of equal length, got {counts}")
-        groups = [
+        self._first_groups = [
             {"params": [self.learnable[name]], "lr": column.rate, "name": name} for name, column in learnable.items()
         ]
-        self.optimizer = (make_optimizer or _adam)(groups)
+        self._make_optimizer = make_optimizer or _adam
+        self._optimizer: torch.optim.Optimizer | None = None
         self.register_load_state_dict_pre_hook(_resize_to_state)
 
     def __len__(self) -> int:
@@ -70,6 +73,23 @@ class Rows(nn.Module):
 
     def __getitem__(self, name: str) -> Tensor:
         return self.learnable[name] if name in self.learnable else self.carried.get_buffer(name)
+
+    @property
+    def optimizer(self) -> torch.optim.Optimizer:
+        """The optimizer of the learnable columns."""
+        if self._optimizer is None:
+            self._optimizer = self._make_optimizer(self._first_groups)
+        return self._optimizer
+
+    @property
+    def _groups(self) -> list[dict[str, Any]]:
+        """The parameter groups: those of the optimizer once there is one."""
+        return self._first_groups if self._optimizer is None else self._optimizer.param_groups
+
+    @property
+    def _state(self) -> dict[Any, Any]:
+        """The optimizer's state by parameter; empty before there is one."""
+        return {} if self._optimizer is None else self._optimizer.state
 
     def columns(self) -> dict[str, Tensor]:
         """Every column by name, learnable ones first."""
@@ -115,13 +135,13 @@ class Rows(nn.Module):
 
     def _transform(self, column: Callable[[str, Tensor], Tensor], moments: Callable[[Tensor], Tensor]) -> None:
         """Apply `column` to every column and `moments` to every row-aligned tensor of the optimizer."""
-        for group in self.optimizer.param_groups:
+        for group in self._groups:
             name, old = group["name"], group["params"][0]
             new = nn.Parameter(column(name, old.detach()).contiguous(), requires_grad=old.requires_grad)
             row_state = {key: moments(value).contiguous() for key, value in self._row_state(old).items()}
-            state = self.optimizer.state.pop(old, None)
+            state = self._state.pop(old, None)
             if state is not None:
-                self.optimizer.state[new] = {**state, **row_state}
+                self._state[new] = {**state, **row_state}
             group["params"][0] = new
             self.learnable[name] = new
         for name, values in list(self.carried.named_buffers()):
@@ -129,7 +149,7 @@ class Rows(nn.Module):
 
     def _row_state(self, parameter: nn.Parameter) -> dict[str, Tensor]:
         """The row-aligned tensors among a parameter's optimizer state."""
-        state = self.optimizer.state.get(parameter, {})
+        state = self._state.get(parameter, {})
         return {
             key: value
             for key, value in state.items()
@@ -137,10 +157,10 @@ class Rows(nn.Module):
         }
 
     def _group(self, name: str) -> dict[str, Any]:
-        for group in self.optimizer.param_groups:
+        for group in self._groups:
             if group["name"] == name:
                 return group
-        raise KeyError(f"expected one of the columns {[g['name'] for g in self.optimizer.param_groups]}, got {name!r}")
+        raise KeyError(f"expected one of the columns {[g['name'] for g in self._groups]}, got {name!r}")
 
 
 def _adam(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:

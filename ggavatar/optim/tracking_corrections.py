@@ -6,8 +6,10 @@ A frame that was never trained on has no correction: test frames and other drive
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import nn
@@ -31,8 +33,7 @@ class DriveCorrections(nn.Module):
     """Learned offsets of the tracked expression, joint rotations and translation of every training frame.
 
     Attributes:
-        optimizer: Adam on all frames at once, ε = 1e-15. As in GaussianAvatars, a frame's corrections keep moving by
-            their moments between two visits.
+        groups: The corrections with their rates, for an optimizer.
 
     References:
         Qian et al. 2024, Sec. 3.4 and supplement: FLAME's parameters are fine-tuned, shape and offsets are not.
@@ -53,8 +54,17 @@ class DriveCorrections(nn.Module):
         self.expression = nn.Parameter(first.expression.new_zeros(count, *first.expression.shape))
         self.joint_rotations = nn.Parameter(first.joint_rotations.new_zeros(count, *first.joint_rotations.shape))
         self.translation = nn.Parameter(first.translation.new_zeros(count, 3))
-        groups = [{"params": [getattr(self, name)], "lr": rate} for name, rate in dataclasses.asdict(rates).items()]
-        self.optimizer = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15, fused=True)
+        self.groups: list[dict[str, Any]] = [
+            {"params": [getattr(self, name)], "lr": rate} for name, rate in dataclasses.asdict(rates).items()
+        ]
+
+    @functools.cached_property
+    def optimizer(self) -> torch.optim.Optimizer:
+        """Adam on all frames at once, ε = 1e-15, made when it is first used.
+
+        As in GaussianAvatars, a frame's corrections keep moving by their moments between two visits.
+        """
+        return torch.optim.Adam(self.groups, betas=(0.9, 0.999), eps=1e-15, fused=True)
 
     def corrects(self, drive: Drive) -> bool:
         """Whether the drive belongs to a training frame."""

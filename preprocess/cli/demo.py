@@ -56,7 +56,7 @@ PAGE = CommandPage(
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point of `ggavatar-demo`; returns the exit code."""
-    return run_command(lambda: _write(parse(PAGE, arguments)))
+    return run_command(lambda: _write(parse(PAGE, arguments)), DemoOptions)
 
 
 def _check(options: DemoOptions) -> None:

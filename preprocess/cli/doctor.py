@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from ggavatar.cli.given import A_CAPTURE, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
@@ -58,7 +59,7 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-doctor`; returns the exit code."""
-    return run_command(lambda: _examine(parse(PAGE, arguments)))
+    return run_command(lambda: _examine(parse(PAGE, arguments)), DoctorOptions)
 
 
 def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:
@@ -81,6 +82,7 @@ def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:
 def _examine(options: DoctorOptions) -> int:
     import json
 
+    check_given(options.capture, A_CAPTURE)
     announce_start(options.json)
     from ggavatar.data.capture import Capture
     from ggavatar.head.files import load_head

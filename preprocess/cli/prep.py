@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from ggavatar.cli.given import A_VIDEO, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
@@ -63,7 +64,9 @@ PAGE = CommandPage(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `ggavatar-prep`; returns the exit code."""
-    return run_command(lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)))
+    return run_command(
+        lambda: _prepare_resumable(_parse(sys.argv[1:] if arguments is None else arguments)), PrepOptions
+    )
 
 
 def _parse(arguments: Sequence[str]) -> PrepOptions:
@@ -107,6 +110,7 @@ def _prepare(options: PrepOptions) -> int:
     """Run the pipeline and report what was written."""
     # The fit's matrices are small and our own threads already keep the cores busy: OpenBLAS threads would compete.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    check_given(options.input, A_VIDEO)
     announce_start(options.quiet or options.json)
     from ggavatar.data.capture import Capture
     from preprocess.cli.terminal import Terminal

@@ -91,7 +91,8 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
     """The doctor's report as lines of text."""
     measures = report["measures"]
     lines = [
-        f"{item['severity']}: {item['message']}" + (f" [{item['flag']}]" if item["flag"] else "")
+        f"{item['severity']}: {item['message']}"
+        + (f" [ggavatar-prep {item['flag']}]" if str(item["flag"]).startswith("-") else "")
         for item in report["findings"]
     ]
     verdict = "healthy" if report["healthy"] else "not healthy"

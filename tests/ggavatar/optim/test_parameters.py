@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -131,3 +133,20 @@ def test_adam_of_rows_is_that_of_3dgs() -> None:
     rows.optimizer.step()
     assert torch.allclose(before - rows["means"], torch.full((6, 3), 0.1), rtol=1e-3)
     assert {group["betas"] for group in rows.optimizer.param_groups} == {(0.9, 0.999)}
+
+
+def test_there_is_no_optimizer_before_it_is_used() -> None:
+    """Rows that are only loaded and rendered import nothing of torch's compiler, in a process of its own."""
+    code = (
+        "import sys, torch\n"
+        "from ggavatar.optim.parameters import Column, Rows\n"
+        "rows = Rows({'x': Column(torch.zeros(2, 3), 0.1)})\n"
+        "rows.load_state_dict({'learnable.x': torch.ones(5, 3)})\n"
+        "rows.set_rate('x', 0.5)\n"
+        "assert len(rows) == 5 and rows.rate('x') == 0.5 and 'torch._dynamo' not in sys.modules\n"
+        "group = rows.optimizer.param_groups[0]\n"
+        "assert group['lr'] == 0.5 and group['params'][0] is rows['x'] and 'torch._dynamo' in sys.modules\n"
+        "rows['x'].sum().backward(); rows.optimizer.step(); rows.take(torch.tensor([1]))\n"
+        "assert rows.optimizer.state[rows['x']]['exp_avg'].shape == (1, 3)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

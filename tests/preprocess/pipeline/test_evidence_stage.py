@@ -96,7 +96,7 @@ def test_frozen_frames_are_named_and_dropped_on_request(clip, tmp_path, capsys):
     assert run(clip, tmp_path / "c", folder) == 0
     output = said(capsys)
     assert "7 of 24 frames repeat the one before: the picture is frozen in frames 9–15" in output
-    assert "[--resume --drop-repeated]" in output and "rate" not in output
+    assert "[ggavatar-prep --resume --drop-repeated]" in output and "rate" not in output
     assert run(clip, tmp_path / "c", folder, "--resume", "--drop-repeated") == 0
     output = said(capsys)
     assert "7 left out (7 repeats the frame before)" in output and "the picture is frozen" not in output
