@@ -62,10 +62,20 @@ def test_the_menu_has_every_command_and_every_method(site: Path) -> None:
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_has_a_page_with_a_picture(name: str) -> None:
-    """docs/methods/METHOD.md, linked in the index docs/methods.md (which holds no section of a method)."""
-    index = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
-    page = (ROOT / "docs" / "methods" / f"{name}.md").read_text(encoding="utf-8")
-    assert f"(methods/{name}.md)" in index and "\n## " not in index
-    assert f"](../images/methods/{name}.jpg)" in page and f"\n`{name}` · " in page
-    assert (ROOT / "docs" / "images" / "methods" / f"{name}.jpg").is_file()
-    assert "**Idea.**" in page and "**Measured**" in page
+    docs = ROOT / "docs"
+    index, page = docs / "methods.md", docs / "methods" / f"{name}.md"
+    text = page.read_text(encoding="utf-8") if page.is_file() else ""
+    wanted = {
+        f"docs/methods/{name}.md": page.is_file(),
+        f"a line with (methods/{name}.md) in docs/methods.md": f"(methods/{name}.md)"
+        in index.read_text(encoding="utf-8"),
+        f"`{name}` · its paper · its files, below the title": f"\n`{name}` · " in text,
+        "**Idea.** and **Measured**": "**Idea.**" in text and "**Measured**" in text,
+        f"](../images/methods/{name}.jpg) on the page": f"](../images/methods/{name}.jpg)" in text,
+        "the picture (python -m website.method_picture)": (docs / "images" / "methods" / f"{name}.jpg").is_file(),
+    }
+    assert [what for what, is_there in wanted.items() if not is_there] == []
+
+
+def test_the_index_of_methods_holds_no_section_of_one() -> None:
+    assert "\n## " not in (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
