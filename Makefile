@@ -22,7 +22,7 @@ SUBJECT := $(DEMO)/subject
 CAPTURE := $(DEMO)/capture
 RUN := $(DEMO)/run
 
-.PHONY: demo table test coverage mutations faults lint format bench clean-demo
+.PHONY: demo table test coverage mutations faults lint docs format bench clean-demo
 
 demo: $(VENV)/installed
 	@test -f $(SUBJECT)/README.txt || $(BIN)/ggavatar-demo --id $(DEMO_ID) --frames $(DEMO_FRAMES) --size $(DEMO_SIZE) --overwrite -o $(SUBJECT)
@@ -64,6 +64,10 @@ lint: $(VENV)/installed-dev
 	$(BIN)/deptry .
 	$(BIN)/vulture
 	$(BIN)/codespell
+
+docs: $(VENV)/installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@echo "the site is in build/site; to read it with its search: $(BIN)/python -m http.server -d build/site"
 
 format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .

@@ -17,7 +17,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "methods").glob("*.md")),
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+]
 FOLDERS = (ROOT, ROOT / "ggavatar", ROOT / "preprocess", ROOT / "evaluate", ROOT / "tests")
 """What a path may be relative to."""
 PLACEHOLDERS = {
@@ -109,6 +114,14 @@ def complaints_about(quoted: str, places: list[Path]) -> list[str]:
 def test_what_a_page_mentions_exists(page: Path) -> None:
     found = complaints(page.read_text())
     assert not found, "\n".join(found)
+
+
+def test_the_readme_is_one_screen_with_the_commands_that_ci_runs() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^make (\w+)", "\n".join(FENCED.findall(text)), re.MULTILINE)
+    assert commands == ["demo", "test"] and len(text.splitlines()) <= 45
+    continuous = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert all(f"make {command} " in continuous for command in commands)
 
 
 def test_the_pages_mention_something() -> None:

@@ -1,0 +1,1 @@
+"""The documentation site: what mkdocs needs besides docs/ (mkdocs.yml; `make docs`)."""
