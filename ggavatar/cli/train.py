@@ -80,7 +80,8 @@ def _parse() -> Arguments:
 
 def _description() -> str:
     methods = "\n".join(f"  {name}: {text}" for name, text in registry.names().items())
-    return f"Train an avatar on a capture folder.\n\nMethods:\n{methods}"
+    unusable = "".join(f"\n\nNote: {text}." for text in registry.problems().values())
+    return f"Train an avatar on a capture folder.\n\nMethods:\n{methods}{unusable}"
 
 
 def _train(arguments: Arguments) -> int:
