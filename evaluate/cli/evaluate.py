@@ -17,6 +17,7 @@ from evaluate.gates.checks import Check
 from evaluate.gates.limits import read_limits
 from evaluate.gates.reports import append_step_summary, to_github, write_junit
 from evaluate.metrics.catalogue import metric_of, title_of
+from evaluate.metrics.plugged import is_failure
 from evaluate.options import Options, parse
 from evaluate.protocols.method_names import display_name
 from evaluate.protocols.protocol import Protocol
@@ -67,7 +68,7 @@ def _evaluate_all(options: Options) -> int:
     _check_paper_subjects(options)
     evaluated, written = _collect(options)
     evaluations = [one.evaluation for one in evaluated]
-    _warn_of_flat(evaluations)
+    _warn_of_worthless(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options, evaluated)
     written += _write_tables(options, evaluated, tables, folder)
@@ -123,10 +124,10 @@ def _check_paper_subjects(options: Options) -> None:
         parse_paper_subjects(options.paper_subjects, subjects_of(options))
 
 
-def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
-    """One line on stderr for every evaluation with predictions of one color, even with --quiet."""
+def _warn_of_worthless(evaluations: Sequence[Evaluation]) -> None:
+    """A line on stderr for predictions of one color and for metrics whose packages failed, even with --quiet."""
     for one in evaluations:
-        for note in flat_notes(one):
+        for note in (*flat_notes(one), *filter(is_failure, one.missing.values())):
             write_err(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}")
 
 

@@ -177,6 +177,8 @@ def read_results(path: Path) -> Evaluation:
         raise InputError(f"{file}: expected {SCHEMA!r} version {VERSION}, found {found}; score the images again")
     try:
         return _from_dict(content)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
             f"{file}: a field is missing or has the wrong type ({error!r:.200}); score the images again"

@@ -36,7 +36,10 @@ def test_a_plugin_is_listed_without_being_imported(site: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        (BROKEN, r"^method 'dots' of the package my-package 1: failed when it was imported: ModuleNotFoundError: No .*"),
+        (
+            BROKEN,
+            r"^method 'dots' of the package my-package 1: failed when it was imported: ModuleNotFoundError: No .*",
+        ),
         ("\n\nvalue = 1 / 0\n", r"ZeroDivisionError: division by zero \(dots_of_a_test.py:3\); update my-package"),
         ("raise SystemExit('stop')", "SystemExit: stop"),
         ("def broken(:", "SyntaxError"),
