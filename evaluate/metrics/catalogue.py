@@ -12,7 +12,6 @@ from evaluate.metrics.metric import Metric
 from evaluate.metrics.plugged import PluggedMetric, PluggedMetrics, plugged_metric, plugged_names
 from ggavatar.errors import InputError, nearest
 
-
 # The definitions below enter the digests of published protocols: their wording must not change, terms such as "render"
 # and "truth" included (elsewhere: prediction, ground truth).
 _WINDOW = "11x11 Gaussian window of sigma 1.5, population covariance, K1 = 0.01, K2 = 0.03, range 1"

@@ -1,11 +1,11 @@
 """The registry of methods: each file in `ggavatar/methods/` is one, and each module that a package registers.
 
-A file is named by its stem, a module by its entry point (`ggavatar.plugins`). Either defines `Config` (a frozen dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of
-Config by variant; each is a further method, named `file_variant`). It may define `PRESETS` (overrides of Config by
-preset), `rasterizer(device, backend)` (a renderer of its own), `least_gaussians(head)` (the smallest number it can work
-with) and `TABLE_NOTES` (sentences below every table that shows the method, such as where it deviates from its paper).
-Names, descriptions and notes are read from the source, so that listing them imports no method; a method is imported
-when it is used.
+A file is named by its stem, a module by its entry point (`ggavatar.plugins`). Either defines `Config` (a frozen
+dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of Config by variant; each is a further method,
+named `method_variant`). It may define `PRESETS` (overrides of Config by preset), `rasterizer(device, backend)` (a
+renderer of its own), `least_gaussians(head)` (the smallest number it can work with) and `TABLE_NOTES` (sentences below
+every table that shows the method, such as where it deviates from its paper). Names, descriptions and notes are read
+from the source, so that listing them imports no method; a method is imported when it is used.
 """
 
 from __future__ import annotations

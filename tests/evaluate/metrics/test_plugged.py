@@ -158,5 +158,5 @@ def test_a_result_without_its_package_says_so(site: Callable[[str], None], tmp_p
     write_results(scored(tmp_path, "levels"), tmp_path / "out")
     (tmp_path / "site" / "mine-2.0.dist-info" / "entry_points.txt").write_text("")
     plugged._loaded.cache_clear()
-    with pytest.raises(InputError, match="unknown metric 'levels'.*Install the package"):
+    with pytest.raises(InputError, match=r"unknown metric 'levels'.*Install the package"):
         read_results(tmp_path / "out")

@@ -1,6 +1,7 @@
-"""Formats of other packages are written by ggavatar-export like ours. Also covers `ggavatar/formats/capture_layouts.py`.
+"""Formats of other packages are written by ggavatar-export like ours.
 
-The reference is the text that the foreign writer makes of known Gaussians.
+Also covers `ggavatar/formats/capture_layouts.py`. The reference is the text that the foreign writer makes of known
+Gaussians.
 """
 
 from __future__ import annotations

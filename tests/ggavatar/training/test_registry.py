@@ -191,5 +191,5 @@ def test_a_run_names_the_package_that_is_missing(site: Path) -> None:
     package = {"method_package": {"name": "dots\x1b[2J", "version": "1.5"}}
     with pytest.raises(InputError, match=r"^run: expected the package dots\S*2J 1.5, whose method dots trained it"):
         run_folder._method_of(Path("run"), config, package)
-    with pytest.raises(InputError, match="unknown method 'dots'.*Install the package"):
+    with pytest.raises(InputError, match=r"unknown method 'dots'.*Install the package"):
         run_folder._method_of(Path("run"), config, {})

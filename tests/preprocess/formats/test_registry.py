@@ -82,7 +82,7 @@ def test_a_broken_one_is_named_and_passed_over(
 def test_what_it_reads_has_to_be_a_tracking(take: Path, site: Path) -> None:
     install(site, "bad", {"of_a_test_bad": FAILING}, {IMPORTERS: {"bad": "of_a_test_bad"}})
     with pytest.raises(
-        InputError, match="importer 'bad' of the package bad 1: expected a TrackingRecord of .* NoneType"
+        InputError, match=r"importer 'bad' of the package bad 1: expected a TrackingRecord of .* NoneType"
     ):
         registry.importer("bad").read(take)
 
