@@ -52,6 +52,7 @@ ALLOWED_TO_RUN = {
     ("ggavatar/cli/viewer_process.py", "subprocess.Popen"): "our own command, as a list of arguments",
     ("ggavatar/plugins/entry_points.py", "importlib.metadata.entry_points"): "packages that are installed",
     ("ggavatar/formats/performances.py", "entry_points"): "packages that are installed",
+    ("ggavatar/__init__.py", "import_module"): "names in our code",
     ("ggavatar/jit/dispatch.py", "importlib.import_module"): "names in our code",
     ("ggavatar/pretrained/pip_settings.py", "subprocess.run"): "pip of this Python, to read its settings",
     ("ggavatar/render/backends.py", "importlib.import_module"): "names in our code",
@@ -63,6 +64,7 @@ ALLOWED_TO_RUN = {
 
 ALLOWED_TO_OPEN = {
     ("ggavatar/cli/process.py", "os.open"): "the null device",
+    ("ggavatar/__init__.py", "points[name].load"): "our own package",
     ("ggavatar/formats/capture_layouts.py", "own[kind].load"): "our own package",
     ("ggavatar/plugins/entry_points.py", "point.load"): "packages that are installed",
     ("ggavatar/formats/splats/ply.py", "np.memmap"): "after the header and the size were checked",

@@ -19,8 +19,18 @@ from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.driving_options import DrivingOptions
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
+from ggavatar.formats.splat_formats import (
+    AVATAR,
+    AVATAR_SUFFIX,
+    PAGE_SUFFIXES,
+    WEB,
+    chosen_format,
+    plugged_format,
+    problems,
+    splat_formats,
+    written_suffixes,
+)
 from ggavatar.formats.splat_formats import OWN as OWN_SPLAT_FORMATS
-from ggavatar.formats.splat_formats import plugged_format, problems, splat_formats, written_suffixes
 from ggavatar.formats.web.options import WebOptions
 from ggavatar.io.held_folders import hold_folder
 from ggavatar.text.terminal import write_out
@@ -30,8 +40,6 @@ if TYPE_CHECKING:
     from ggavatar.training.run_folder import Run
 
 SUBMISSION = "nersemble-submission"
-WEB, PAGE_SUFFIXES = "web", (".html", ".htm")
-AVATAR, AVATAR_SUFFIX = "avatar", ".ggavatar"
 OTHER_RUN_FORMATS = ("gaussian-avatars", WEB, AVATAR)
 _NEXT_STEPS = {
     "vhap": "in GaussianAvatars: python train.py -s {path} --bind_to_mesh --white_background",
@@ -74,9 +82,7 @@ class Arguments:
     @property
     def kind(self) -> str:
         """The format to write."""
-        suffix = self.output.suffix.lower() if self.output is not None else ""
-        named = {**written_suffixes(), **dict.fromkeys(PAGE_SUFFIXES, WEB), AVATAR_SUFFIX: AVATAR}.get(suffix, "ply")
-        return self.format or (named if named in (*splat_formats(), WEB, AVATAR) else "ply")
+        return chosen_format(self.format, self.output)
 
     @property
     def poses(self) -> int:

@@ -21,6 +21,9 @@ from ggavatar.text.names import clean_text
 if TYPE_CHECKING:
     from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 
+WEB, PAGE_SUFFIXES = "web", (".html", ".htm")
+AVATAR, AVATAR_SUFFIX = "avatar", ".ggavatar"
+"""Formats of a whole avatar, and the suffixes of their files."""
 OWN = ("ply", "splat", "spz", "glb")
 """Formats that we write."""
 _OTHER_NAMES = ("sog", "web", "html", "htm", "avatar", "ggavatar", "gaussian-avatars", "nersemble-submission", "json")
@@ -59,6 +62,13 @@ def splat_formats() -> list[str]:
 def written_suffixes() -> dict[str, str]:
     """Formats by the suffix of their files; those that are only read are among them."""
     return {**SUFFIXES, **{f".{name}": name for name in splat_formats()}}
+
+
+def chosen_format(name: str | None, output: Path | None) -> str:
+    """The format to write: the one that is named, else that of the suffix of the output, else ply."""
+    suffix = output.suffix.lower() if output is not None else ""
+    of_suffix = {**written_suffixes(), **dict.fromkeys(PAGE_SUFFIXES, WEB), AVATAR_SUFFIX: AVATAR}.get(suffix, "ply")
+    return name or (of_suffix if of_suffix in (*splat_formats(), WEB, AVATAR) else "ply")
 
 
 def problems() -> dict[str, str]:

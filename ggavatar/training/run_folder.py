@@ -115,6 +115,10 @@ class Run:
     sha256: str
     reader: Frames
 
+    def __repr__(self) -> str:
+        """Method, steps, subject and folder."""
+        return f"Run({self.method!r}, {self.step} steps, subject {self.capture.subject!r}, {str(self.folder)!r})"
+
     def frames(self, numbers: Iterable[int]) -> Iterator[Frame]:
         """Frames by source number, at the capture's size, composited on the run's background; reads a few ahead."""
         size = (self.capture.width, self.capture.height)
