@@ -20,6 +20,8 @@ from ggavatar.training.run_folder import Run
 
 Performance = CarriedOver
 """A performance in an avatar's own parameters: `frames`, `drives`, `cameras`, `fps`."""
+Curve = Sequence[float] | np.ndarray
+"""One score over time, from 0 to 1."""
 FPS = 25.0
 """Frame rate of curves, frames per second, if it is not said."""
 
@@ -45,9 +47,7 @@ class DriveOptions(TypedDict, total=False):
     """Frame rate of curves, 25 if not given."""
 
 
-def drive(
-    run: Run, source: Capture | Path | str | Mapping[str, Sequence[float]], **options: Unpack[DriveOptions]
-) -> Performance:
+def drive(run: Run, source: Capture | Path | str | Mapping[str, Curve], **options: Unpack[DriveOptions]) -> Performance:
     """Have an avatar perform what a source shows, as `ggavatar-render --drive` does.
 
     Args:
@@ -72,7 +72,7 @@ def drive(
         return carried_over(run, _recording(Path(folder) / "curves.npz", source, fps), how)
 
 
-def _recording(path: Path, curves: Mapping[str, Sequence[float]], fps: float) -> Path:
+def _recording(path: Path, curves: Mapping[str, Curve], fps: float) -> Path:
     """The curves as a recording that every command opens."""
     for name in curves:
         if name not in ARKIT_NAMES:
