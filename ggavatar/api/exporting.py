@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack, cast
 
 from ggavatar.api.performances import Performance
 from ggavatar.api.runs import open_run, require_known
@@ -59,7 +59,7 @@ def export(
         InputError: The source has no such format, or the output exists and must not be replaced.
     """
     require_known("export", options, ExportOptions)
-    path, given = Path(output), dict(options)
+    path, given = Path(output), cast(dict[str, Any], dict(options))
     kind, overwrite = chosen_format(format, path), bool(given.get("overwrite"))
     if isinstance(source, Capture):
         return _capture(source, path, kind, overwrite)

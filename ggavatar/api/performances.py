@@ -44,7 +44,7 @@ class DriveOptions(TypedDict, total=False):
     force_basis: bool
     """Accept another number of coefficients or another version of the same family of bases."""
     fps: float
-    """Frame rate of curves, 25 if not given."""
+    """Frame rate of curves, 25 if not given; what is performed has 30 frames per second."""
 
 
 def drive(run: Run, source: Capture | Path | str | Mapping[str, Curve], **options: Unpack[DriveOptions]) -> Performance:

@@ -67,6 +67,7 @@ def test_help_names_what_it_brings(plugin: Path, module: str, function: str, wor
     assert shown.returncode == 0 and all(word in text for word in words), shown.stdout + shown.stderr
 
 
+@pytest.mark.slow
 def test_it_trains_is_measured_and_exported(plugin: Path, toy_capture: Capture, tmp_path: Path) -> None:
     done = run(plugin, "-c", COMMANDS, str(toy_capture.folder), str(tmp_path / "run"))
     assert done.returncode == 0, done.stdout + done.stderr
@@ -81,6 +82,7 @@ def test_it_trains_is_measured_and_exported(plugin: Path, toy_capture: Capture, 
     assert points.shape[1] == 6 and len(points) > 100
 
 
+@pytest.mark.slow
 def test_its_own_tests_pass(plugin: Path) -> None:
     tests = ROOT / "examples" / "plugin"
     done = run(plugin, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(tests), str(tests / "tests"))
