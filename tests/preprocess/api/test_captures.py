@@ -19,6 +19,8 @@ def test_wrong_options_are_named_before_anything_is_read(tmp_path: Path) -> None
         ggavatar.make_demo(tmp_path / "demo", size=31)
     with pytest.raises(ggavatar.InputError, match=r"none\.mp4"):
         ggavatar.prepare_capture(tmp_path / "none.mp4", tmp_path / "out")
+    with pytest.raises(ggavatar.InputError, match="capture"):
+        ggavatar.check_capture(tmp_path)
     assert not any(tmp_path.iterdir())
 
 
