@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from evaluate.metrics.catalogue import METRICS
 from evaluate.protocols.protocol import PROTOCOLS, Protocol, protocol_by_name
 from ggavatar.cli.likely_device import device_default
 from ggavatar.cli.page import CommandPage
@@ -34,7 +35,7 @@ class Override:
     resolution: str | None = None
     """WIDTHxHEIGHT in px, or native."""
     metrics: tuple[str, ...] | None = None
-    """Metrics to measure, such as psnr ssim lpips_alex."""
+    """Metrics to measure, such as psnr ssim lpips_alex; those of other packages are columns of the main table."""
     table_metrics: tuple[str, ...] | None = None
     """Metrics shown in the main table."""
     regions: tuple[str, ...] | None = None
@@ -46,7 +47,8 @@ class Override:
         if self.split is not None:
             changes["split"] = split_name(self.split)  # where the list lies is no property of a protocol
         if self.metrics is not None and self.table_metrics is None:
-            kept = tuple(name for name in protocol.table_metrics if name in self.metrics)
+            shown = (*protocol.table_metrics, *(name for name in self.metrics if name not in METRICS))
+            kept = tuple(name for name in shown if name in self.metrics)
             changes["table_metrics"] = kept or self.metrics
         return protocol.override(**changes) if changes else protocol
 

@@ -31,6 +31,10 @@ class Camera:
     width: int
     height: int
 
+    def __repr__(self) -> str:
+        """Size and focal length."""
+        return f"Camera({self.width}×{self.height} px, focal length {float(self.intrinsics[0, 0]):.1f} px)"
+
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for an image resampled to `width` × `height` px, edges aligned."""
         if (width, height) == (self.width, self.height):
@@ -64,6 +68,11 @@ class Drive:
     head_to_camera: Float[Tensor, "4 4"]
     frame: int | None = None
     torso_to_camera: Float[Tensor, "4 4"] | None = None
+
+    def __repr__(self) -> str:
+        """Frame and numbers of parameters."""
+        of = "no frame" if self.frame is None else f"frame {self.frame}"
+        return f"Drive({of}, {len(self.expression)} expression axes, {len(self.joint_rotations)} joints)"
 
     @property
     def requires_grad(self) -> bool:
@@ -109,6 +118,11 @@ class Gaussians:
     opacities: Float[Tensor, " N"]
     colors: Float[Tensor, "N 3"] | Float[Tensor, "N K 3"]
     sh_degree: int | None = None
+
+    def __repr__(self) -> str:
+        """Their number and kind of color."""
+        colors = "RGB" if self.colors.ndim == 2 else f"{self.colors.shape[1]} harmonics"
+        return f"{type(self).__name__}({len(self.means)}, {colors}, on {self.means.device})"
 
 
 @dataclass(frozen=True)

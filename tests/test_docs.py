@@ -29,7 +29,7 @@ PLACEHOLDERS = {
     "ggavatar/methods/painted_mesh.py",  # written by the reader of adding-a-method.md
     "recompute_intervals.py",  # written by ggavatar-eval beside its results
     "tests/PACKAGE/ROOM/test_MODULE.py",  # a pattern in architecture.md
-    "ggavatar.capture_formats",  # an entry-point group, not a module
+    *(f"ggavatar.{group}" for group in ("capture_formats", "importers", "metrics", "splat_formats")),  # entry points
 }
 FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 QUOTED = re.compile(r"`([^`\n]+)`")

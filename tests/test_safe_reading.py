@@ -41,7 +41,7 @@ OPENERS = {
 }
 """Last names of functions that read files, or what is in them, by a path."""
 
-OWN = {"Capture.open", "registry.load", "self.load", "load", "PAPER.open"}
+OWN = {"Capture.open", "registry.load", "self.load", "load", "PAPER.open", "plugin.load", "source.plugin.load"}
 """Our own functions of such names; `PAPER` is a table of the package."""
 
 WRITING = {"w", "wb", "a", "ab", "x", "xb"}
@@ -50,8 +50,9 @@ ALLOWED_TO_RUN = {
     ("ggavatar/cli/process.py", "ctypes.CDLL"): "the C library of this process",
     ("ggavatar/cli/sweep.py", "subprocess.run"): "our own commands, as lists of arguments",
     ("ggavatar/cli/viewer_process.py", "subprocess.Popen"): "our own command, as a list of arguments",
-    ("ggavatar/formats/capture_layouts.py", "entry_points"): "packages that are installed",
+    ("ggavatar/plugins/entry_points.py", "importlib.metadata.entry_points"): "packages that are installed",
     ("ggavatar/formats/performances.py", "entry_points"): "packages that are installed",
+    ("ggavatar/__init__.py", "import_module"): "names in our code",
     ("ggavatar/jit/dispatch.py", "importlib.import_module"): "names in our code",
     ("ggavatar/pretrained/pip_settings.py", "subprocess.run"): "pip of this Python, to read its settings",
     ("ggavatar/render/backends.py", "importlib.import_module"): "names in our code",
@@ -63,7 +64,9 @@ ALLOWED_TO_RUN = {
 
 ALLOWED_TO_OPEN = {
     ("ggavatar/cli/process.py", "os.open"): "the null device",
-    ("ggavatar/formats/capture_layouts.py", "points[kind].load"): "packages that are installed",
+    ("ggavatar/__init__.py", "points[name].load"): "our own package",
+    ("ggavatar/formats/capture_layouts.py", "own[kind].load"): "our own package",
+    ("ggavatar/plugins/entry_points.py", "point.load"): "packages that are installed",
     ("ggavatar/formats/splats/ply.py", "np.memmap"): "after the header and the size were checked",
     ("ggavatar/formats/splats/ply.py", "np.loadtxt"): "lines of an opened file",
     ("ggavatar/formats/splats/splat.py", "np.memmap"): "after its size was checked",
@@ -86,7 +89,6 @@ ALLOWED_TO_OPEN = {
     ("ggavatar/training/checkpoint.py", "safetensors.load"): "bytes whose digest was compared",
     ("ggavatar/training/snapshot.py", "safetensors.load"): "bytes, of a bounded size",
     ("ggavatar/training/journal.py", "path.open"): "to append to it",
-    ("ggavatar/training/registry.py", "path.read_text"): "files of the package",
     ("preprocess/masks/networks.py", "onnxruntime.InferenceSession"): "bytes; operators and numbers only",
     ("preprocess/video/alpha_stream.py", "av.CodecContext.create"): "a decoder by name",
     ("preprocess/video/decoding.py", "av.open"): "an opened file, and containers that name no other files",

@@ -17,14 +17,12 @@ from evaluate.gates.checks import Check
 from evaluate.gates.limits import read_limits
 from evaluate.gates.reports import append_step_summary, to_github, write_junit
 from evaluate.metrics.catalogue import metric_of, title_of
+from evaluate.metrics.plugged import is_failure
 from evaluate.options import Options, parse
 from evaluate.protocols.method_names import display_name
-from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import FRAMES_FILE, METRICS_FILE, Evaluation, read_results, write_results
-from evaluate.protocols.setup import Setup
 from evaluate.scoring.accumulator import flat_notes
-from evaluate.scoring.frame_pairs import pair_folders, region_names
-from evaluate.scoring.score import Labels, face_metrics, learned_metrics, score
+from evaluate.scoring.folders import score_folders
 from evaluate.tables.format_terminal import show
 from evaluate.tables.paper_aligned import parse_paper_subjects
 from evaluate.tables.table import Table
@@ -38,8 +36,6 @@ from ggavatar.formats.source_options import is_gaussian_file, results_folder
 from ggavatar.io.atomic import remove_partial_files
 from ggavatar.io.folder_lock import lock_folder, lock_output
 from ggavatar.io.held_folders import hold_folder
-from ggavatar.pretrained.resolve import ModelFinder
-from ggavatar.text.names import clean_name
 from ggavatar.text.terminal import write_err, write_out
 
 TABLES = "table"
@@ -70,7 +66,7 @@ def _evaluate_all(options: Options) -> int:
     _check_paper_subjects(options)
     evaluated, written = _collect(options)
     evaluations = [one.evaluation for one in evaluated]
-    _warn_of_flat(evaluations)
+    _warn_of_worthless(evaluations)
     tables = build_tables(evaluations, options.layout, options.with_paper, options.paper_subjects)
     folder = _table_folder(options, evaluated)
     written += _write_tables(options, evaluated, tables, folder)
@@ -135,10 +131,10 @@ def _check_paper_subjects(options: Options) -> None:
         parse_paper_subjects(options.paper_subjects, subjects_of(options))
 
 
-def _warn_of_flat(evaluations: Sequence[Evaluation]) -> None:
-    """One line on stderr for every evaluation with predictions of one color, even with --quiet."""
+def _warn_of_worthless(evaluations: Sequence[Evaluation]) -> None:
+    """A line on stderr for predictions of one color and for metrics whose packages failed, even with --quiet."""
     for one in evaluations:
-        for note in flat_notes(one):
+        for note in (*flat_notes(one), *filter(is_failure, one.missing.values())):
             write_err(f"warning: {label_of(one.subject, one.method, one.seed)}: {note}")
 
 
@@ -248,39 +244,6 @@ def _collect_pictures(options: Options) -> tuple[list[Evaluated], list[Path]]:
         found.append(Evaluated(evaluation, files[0]))
         written += files
     return found, written
-
-
-def score_folders(options: Options, progress: Callable[[int, int], None] | None = None) -> Evaluation:
-    """Score the folders of --pred and --gt; `InputError` on any mismatch."""
-    folders = options.folders
-    if folders.pred is None or folders.gt is None:
-        raise InputError("expected --pred and --gt")
-    protocol = folder_protocol(options)
-    pairs = pair_folders(folders.pred, folders.gt, folders.masks, folders.region_masks)
-    names = (
-        folders.subject or clean_name(folders.gt.resolve().parent.name),
-        folders.method or clean_name(folders.pred.resolve().name),
-    )
-    provenance = {"predictions": str(folders.pred), "ground_truth": str(folders.gt)}
-    labels = Labels(*names, seed=folders.seed, provenance=provenance, setup=Setup("elsewhere"))
-    models = ModelFinder(options.models, options.offline)
-    learned = None if options.no_learned else learned_metrics(protocol, models)
-    faces = None if options.no_learned else face_metrics(protocol, models)
-    return score(pairs, protocol, labels, learned, faces, options.threads, progress)
-
-
-def folder_protocol(options: Options) -> Protocol:
-    """The protocol for two folders: fields that they cannot prove are `given`, regions are those with masks."""
-    protocol = options.base_protocol()
-    if protocol.name != "folders":
-        protocol = protocol.override(split="given", resolution="given", mask="given")
-    folders = options.folders
-    if options.override.regions is not None:
-        return protocol
-    known: tuple[str, ...] = ("foreground", "boundary") if folders.masks else ()
-    if folders.region_masks:
-        known += tuple(region_names(folders.region_masks))
-    return protocol.override(regions=known)
 
 
 def _write_figures(options: Options, evaluated: Sequence[Evaluated], folder: Path) -> list[Path]:

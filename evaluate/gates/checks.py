@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from evaluate.gates.baselines import label_of
 from evaluate.gates.tolerances import check_metric, finite
-from evaluate.metrics.catalogue import METRICS
+from evaluate.metrics.catalogue import METRICS, find_metric
 from evaluate.protocols.results import Evaluation
 from ggavatar.errors import InputError
 
@@ -55,7 +55,8 @@ def parse_limits(texts: Sequence[str], flag: str) -> dict[str, float]:
 def _check_direction(name: str, number: str, flag: str) -> None:
     """Raise `InputError` if a metric is limited from its good side."""
     base = name.partition("@")[0]
-    higher = next(metric for metric in METRICS.values() if metric.name.startswith(base)).higher_is_better
+    metric = find_metric(base) or next(metric for metric in METRICS.values() if metric.name.startswith(base))
+    higher = metric.higher_is_better
     right = "--fail-below" if higher else "--fail-above"
     if flag != right:
         word = "higher" if higher else "lower"

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evaluate.metrics.catalogue import METRICS, metric_of
-from ggavatar.errors import InputError, nearest
+from evaluate.metrics.catalogue import metric_of, require_metric
+from ggavatar.errors import InputError
 
 REGION_FACTOR = 2.0
 """Tolerances of regions relative to those of whole images: a region has fewer pixels, so its mean varies more."""
@@ -56,8 +56,8 @@ def parse_tolerances(texts: Sequence[str]) -> dict[str, Tolerance]:
 def check_metric(name: str, flag: str) -> None:
     """Raise `InputError` unless a name is that of a metric, of a metric in a region, or `ssim` or `lpips`."""
     base = name.partition("@")[0]
-    if base not in METRICS and base not in ("ssim", "lpips"):
-        raise InputError(f"{flag}: unknown metric {name!r}{nearest(base, METRICS)}; known are {', '.join(METRICS)}")
+    if base != "lpips":  # `ssim` is the name of a metric too
+        require_metric(base, flag)
 
 
 def finite(text: str) -> float:

@@ -1,41 +1,16 @@
-"""The catalogue of metrics: name, exact definition (part of a protocol's digest) and presentation in tables."""
+"""The catalogue of metrics: name, exact definition (part of a protocol's digest) and presentation in tables.
+
+`METRICS` are ours; the functions also know those of other packages.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-
-@dataclass(frozen=True)
-class Metric:
-    """A metric: how protocols define it and how tables present it.
-
-    Attributes:
-        name: Key in files; a region is appended with `@`, as in `psnr@face`.
-        title: Column heading.
-        higher_is_better: Direction of improvement.
-        digits: Decimals in tables; methods are ranked after rounding to them.
-        unit: Unit of the value, or "1" if it has none.
-        definition: The exact definition; changing it changes the digest of every protocol that uses the metric.
-        tolerance: How much worse the mean of whole images may be under `--compare` when the user names no tolerance.
-        relative_tolerance: Whether `tolerance` is a fraction of the earlier mean rather than in the metric's unit.
-    """
-
-    name: str
-    title: str
-    higher_is_better: bool
-    digits: int
-    unit: str
-    definition: str
-    tolerance: float
-    relative_tolerance: bool = False
-
-    @property
-    def arrow(self) -> str:
-        """An arrow in the direction of improvement."""
-        return "↑" if self.higher_is_better else "↓"
-
+from evaluate.metrics.metric import Metric
+from evaluate.metrics.plugged import PluggedMetric, PluggedMetrics, plugged_metric, plugged_names
+from ggavatar.errors import InputError, nearest
 
 # The definitions below enter the digests of published protocols: their wording must not change, terms such as "render"
 # and "truth" included (elsewhere: prediction, ground truth).
@@ -145,16 +120,59 @@ REGION_DEFINITION = (
 )
 
 
+def metric_names() -> list[str]:
+    """Names of all metrics, those of other packages last; imports none of them."""
+    return [*METRICS, *plugged_names(METRICS)]
+
+
+def find_metric(name: str) -> Metric | None:
+    """The metric of a name without a region; None if there is none.
+
+    Raises:
+        InputError: It is that of another package and cannot be imported.
+    """
+    if name in METRICS:
+        return METRICS[name]
+    found = plugged_metric(name, METRICS)
+    return None if found is None else found.metric
+
+
+def require_metric(name: str, flag: str = "") -> Metric:
+    """The metric of a name without a region.
+
+    Args:
+        name: The name.
+        flag: What the name was given to, for the message.
+
+    Raises:
+        InputError: There is none, and the message suggests the nearest name; or as in `find_metric`.
+    """
+    found = find_metric(name)
+    if found is None:
+        known, where = metric_names(), f"{flag}: " if flag else ""
+        raise InputError(
+            f"{where}unknown metric {name!r}{nearest(name, known)}; known are {', '.join(known)}. Install the package "
+            "of a metric that is not among them"
+        )
+    return found
+
+
+def plugged_metrics(names: Sequence[str]) -> PluggedMetrics:
+    """Those of the named metrics that are of other packages, ready to measure."""
+    found = [plugged_metric(name, METRICS) for name in names if name not in METRICS]
+    return PluggedMetrics([one for one in found if isinstance(one, PluggedMetric)])
+
+
 def metric_of(name: str) -> Metric:
     """The metric of a column name; a region after `@` is ignored.
 
     Raises:
-        KeyError: Unknown metric.
+        InputError: Unknown metric.
     """
-    return METRICS[name.partition("@")[0]]
+    return require_metric(name.partition("@")[0])
 
 
 def title_of(name: str) -> str:
     """Column heading of a metric name with or without a region."""
-    base, _, region = name.partition("@")
-    return METRICS[base].title + (f" {region}" if region else "")
+    _, _, region = name.partition("@")
+    return metric_of(name).title + (f" {region}" if region else "")

@@ -10,9 +10,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from evaluate.metrics.catalogue import FACES, METRICS, REGION_DEFINITION, REGION_METRICS, TEMPORAL
+from evaluate.metrics.catalogue import (
+    FACES,
+    METRICS,
+    REGION_DEFINITION,
+    REGION_METRICS,
+    TEMPORAL,
+    metric_of,
+    require_metric,
+)
 from ggavatar.data.background import background_text, parse_background
 from ggavatar.errors import InputError, nearest
+from ggavatar.text.names import clean_text
 
 GIVEN = "given"
 """Value of a field that depends on the caller's images and cannot be checked."""
@@ -37,7 +46,7 @@ class Protocol:
         resize: Filter that brings the ground truth to `resolution`: `area` (OpenCV INTER_AREA).
         quantisation: `uint8-round`: both images are 8-bit, clamped and rounded to the nearest level.
         psnr_aggregation: `mean-of-images`; the pooled PSNR is always stored as well.
-        metrics: Names of the metrics, from `evaluate.metrics.catalogue.METRICS`.
+        metrics: Names of the metrics, of `evaluate.metrics.catalogue.METRICS` or of other packages.
         table_metrics: Subset shown in the main table.
         regions: Regions measured in addition, as `psnr@face`.
         test_time_optimisation: `none`: nothing is fitted to test frames.
@@ -63,8 +72,7 @@ class Protocol:
 
     def __post_init__(self) -> None:
         for name in (*self.metrics, *self.table_metrics):
-            if name not in METRICS:
-                raise InputError(f"unknown metric {name!r}{nearest(name, METRICS)}; known are {', '.join(METRICS)}")
+            require_metric(name)
         if missing := set(self.table_metrics) - set(self.metrics):
             raise InputError(f"--table-metrics: {', '.join(sorted(missing))} is not measured; add it to --metrics")
         _ = self.background_rgb, self.size
@@ -92,7 +100,7 @@ class Protocol:
 
     def definitions(self) -> dict[str, Any]:
         """Definitions of the metrics and regions, which the digest covers."""
-        words = {name: METRICS[name].definition for name in self.metrics}
+        words = {name: metric_of(name).definition for name in self.metrics}
         return {
             "definition_version": DEFINITION_VERSION,
             "metric_definitions": words,
@@ -205,9 +213,23 @@ def protocol_from_dict(fields: Mapping[str, Any]) -> Protocol:
     known = {field.name for field in dataclasses.fields(Protocol)}
     values: dict[str, Any] = {key: _frozen(value) for key, value in fields.items() if key in known}
     try:
-        return Protocol(**values)
+        protocol = Protocol(**values)
     except TypeError as error:
         raise InputError(f"expected the fields of a protocol, found {sorted(fields)} ({error})") from error
+    _require_same_definitions(protocol, fields.get("metric_definitions"))
+    return protocol
+
+
+def _require_same_definitions(protocol: Protocol, stored: object) -> None:
+    """Raise `InputError` if a metric of another package meant something else when the result was written."""
+    for name in protocol.metrics:
+        if name in METRICS or not isinstance(stored, Mapping):
+            continue
+        if (then := stored.get(name)) != (now := metric_of(name).definition):
+            raise InputError(
+                f"the metric {name} was {clean_text(str(then))!r} when this was scored, and is {now!r} now; score the "
+                "images again"
+            )
 
 
 def _plain(value: object) -> object:

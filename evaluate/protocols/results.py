@@ -63,6 +63,13 @@ class Evaluation:
     notes: tuple[str, ...] = ()
     setup: Setup = field(default_factory=Setup)
 
+    def __repr__(self) -> str:
+        """What was scored, and the means of the main table."""
+        found = ((metric_of(name), self.summary(name).mean) for name in self.protocol.table_metrics)
+        means = [f"{metric.title} {'–' if mean is None else f'{mean:.{metric.digits}f}'}" for metric, mean in found]
+        what = f"{self.subject!r}, {self.method!r}, {self.protocol.id}, {len(self.frames)} frames"
+        return f"Evaluation({what}: {', '.join(means)})"
+
     def summary(self, name: str) -> Summary:
         """Summary of one metric over the frames; `psnr_pooled` has only a mean."""
         if name == "psnr_pooled":
@@ -177,6 +184,8 @@ def read_results(path: Path) -> Evaluation:
         raise InputError(f"{file}: expected {SCHEMA!r} version {VERSION}, found {found}; score the images again")
     try:
         return _from_dict(content)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
             f"{file}: a field is missing or has the wrong type ({error!r:.200}); score the images again"

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from evaluate.metrics.catalogue import FACES, TEMPORAL
+from evaluate.metrics.catalogue import FACES, METRICS, TEMPORAL, plugged_metrics
 from evaluate.metrics.faces import Points
 from evaluate.metrics.temporal import flicker, frame_difference_error, landmark_jitter
 from evaluate.protocols.protocol import Protocol
@@ -148,7 +148,7 @@ class Accumulator:
             hashes={kind: hashlib.sha256("".join(lines).encode()).hexdigest() for kind, lines in self._files.items()},
             weights=weights,
             efficiency=labels.efficiency,
-            provenance={**labels.provenance, "versions": versions()},
+            provenance={**labels.provenance, "versions": versions(self._protocol)},
             notes=(*labels.notes, *_flat_note(self._flat), *counted),
             setup=labels.setup,
         )
@@ -176,12 +176,15 @@ def _missing_reason(name: str) -> str:
         return "no two scored frames are consecutive, or nothing stands still"
     if base in FACES:
         return "no face was found, or in too few consecutive frames"
+    if base not in METRICS and base != "mse":
+        return "it gave no number for any frame"
     return "the images are too small"
 
 
-def versions() -> dict[str, str]:
+def versions(protocol: Protocol) -> dict[str, str]:
     """Versions of the packages that determine the scores."""
-    return {name: _version(name) for name in ("ggavatar", "numpy", "opencv-contrib-python-headless")}
+    own = {name: _version(name) for name in ("ggavatar", "numpy", "opencv-contrib-python-headless")}
+    return {**own, **plugged_metrics(protocol.metrics).versions}
 
 
 def _version(name: str) -> str:

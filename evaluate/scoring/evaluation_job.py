@@ -31,7 +31,7 @@ from evaluate.scoring.frame_store import (
     read_digests,
 )
 from evaluate.scoring.region_masks import FrameReader, write_region_masks
-from evaluate.scoring.score import SWITCHED_OFF, face_metrics, learned_metrics, score, unavailable
+from evaluate.scoring.score import SWITCHED_OFF, face_metrics, learned_metrics, score, source_hashes, unavailable
 from evaluate.scoring.touched import changed_words, touched_images
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
@@ -107,7 +107,7 @@ def _evaluate_locked(job: Job, options: Options, reporter: Reporter) -> tuple[Ev
     labels = job.labels(filled.summary)
     for note in labels.notes if labels.setup.origin == "run" else ():
         reporter.warn(f"{labels.subject}, {labels.method}: {note}")
-    weights = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
+    weights = source_hashes(protocol, learned, faces)
     earlier = _stored(home, reporter)
     if earlier is not None:
         if not (touched := touched_images(earlier, home)):

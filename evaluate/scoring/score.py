@@ -8,10 +8,11 @@ from typing import runtime_checkable
 
 import numpy as np
 
-from evaluate.metrics.catalogue import FACES
+from evaluate.metrics.catalogue import FACES, METRICS, plugged_metrics
 from evaluate.metrics.faces import FaceMetrics
 from evaluate.metrics.network_files import find_lpips, network_of
 from evaluate.metrics.per_frame import measure_pixels
+from evaluate.metrics.plugged import PluggedMetrics
 from evaluate.metrics.regions import boundary_band, fill_outside
 from evaluate.protocols.protocol import Protocol
 from evaluate.protocols.results import Evaluation
@@ -74,16 +75,23 @@ def score(
             f"--region-masks DIR (DIR/{protocol.region}/000123.png)"
         )
     accumulator = Accumulator(protocol)
+    plugged = plugged_metrics(protocol.metrics)
 
     def work(pair: FramePair) -> FrameScores:
-        return score_pair(pair, protocol, learned, faces)
+        return score_pair(pair, protocol, learned, faces, plugged)
 
     for done, scored in enumerate(ordered_map(work, pairs, threads or min(8, available_cores())), start=1):
         accumulator.add(scored)
         if progress:
             progress(done, len(pairs))
-    hashes = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
-    return accumulator.evaluation(labels, unavailable(protocol, learned, faces), hashes)
+    missing = unavailable(protocol, learned, faces) | plugged.failed
+    return accumulator.evaluation(labels, missing, source_hashes(protocol, learned, faces))
+
+
+def source_hashes(protocol: Protocol, learned: LearnedMetrics | None, faces: FaceMetrics | None) -> dict[str, str]:
+    """SHA-256 of what measures beside our own code: files of networks, and sources of other packages' metrics."""
+    found = {name: value for part in (learned, faces) if part for name, value in part.hashes.items()}
+    return found | plugged_metrics(protocol.metrics).hashes
 
 
 def unavailable(protocol: Protocol, learned: LearnedMetrics | None, faces: FaceMetrics | None) -> dict[str, str]:
@@ -95,7 +103,7 @@ def unavailable(protocol: Protocol, learned: LearnedMetrics | None, faces: FaceM
 
 def learned_names(protocol: Protocol) -> list[str]:
     """The protocol's metrics that need torch (LPIPS)."""
-    return [name for name in protocol.metrics if name.startswith("lpips")]
+    return [name for name in protocol.metrics if name.startswith("lpips") and name in METRICS]
 
 
 def face_metrics(protocol: Protocol, models: ModelFinder) -> FaceMetrics | None:
@@ -128,7 +136,11 @@ class UnavailableLearnedMetrics:
 
 
 def score_pair(
-    pair: FramePair, protocol: Protocol, learned: LearnedMetrics | None = None, faces: FaceMetrics | None = None
+    pair: FramePair,
+    protocol: Protocol,
+    learned: LearnedMetrics | None = None,
+    faces: FaceMetrics | None = None,
+    plugged: PluggedMetrics | None = None,
 ) -> FrameScores:
     """Read and measure one frame; `InputError` names an unusable file."""
     prediction = read_scored(pair.prediction, protocol.background_rgb)
@@ -149,6 +161,8 @@ def score_pair(
     if faces:
         face_values, error = faces.measure(*images)
         values |= face_values
+    if plugged:
+        values |= plugged.measure(*images, weights.get("foreground"))
     notes = tuple(dict.fromkeys(prediction.notes + truth.notes))
     foreground = (weights["foreground"] >= 0.5).astype(np.uint8) if "foreground" in weights else None
     flat = is_flat(prediction.pixels)

@@ -7,9 +7,13 @@ rows, group rules and notes that Styler has no notion of, and importing pandas t
 from __future__ import annotations
 
 import dataclasses
+import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas
 
 Value = float | None
 
@@ -120,6 +124,27 @@ class Table:
         for row in self.rows:
             if len(row.cells) != len(self.columns):
                 raise ValueError(f"expected {len(self.columns)} cells in row {row.label!r}, found {len(row.cells)}")
+
+    def __repr__(self) -> str:
+        """Name and size."""
+        return f"Table({self.name!r}, {len(self.rows)} rows × {len(self.columns)} columns)"
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The unrounded numbers, NaN where there are none: rows by section and label, columns by group and title."""
+        import pandas  # takes half a second, which the commands do without
+
+        rows = pandas.MultiIndex.from_tuples([(row.section, row.label) for row in self.rows], names=["", self.corner])
+        columns = pandas.MultiIndex.from_tuples([(column.group, column.title) for column in self.columns])
+        return pandas.DataFrame([[cell.value for cell in row.cells] for row in self.rows], rows, columns, dtype=float)
+
+    def _repr_html_(self) -> str:
+        """What notebooks show: the printed texts."""
+        import pandas
+
+        texts = [[cell.text for cell in row.cells] for row in self.rows]
+        rows = [f"{row.section} {row.label}".strip() for row in self.rows]
+        columns = [f"{column.group} {column.title}".strip() for column in self.columns]
+        return f"<p>{html.escape(self.caption)}</p>{pandas.DataFrame(texts, rows, columns).to_html()}"
 
     @property
     def groups(self) -> list[tuple[str, int]]:

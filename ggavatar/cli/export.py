@@ -22,7 +22,18 @@ from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.driving_options import DrivingOptions
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
-from ggavatar.formats.splats.file_kinds import SUFFIXES
+from ggavatar.formats.splat_formats import (
+    AVATAR,
+    AVATAR_SUFFIX,
+    PAGE_SUFFIXES,
+    WEB,
+    chosen_format,
+    plugged_format,
+    problems,
+    splat_formats,
+    written_suffixes,
+)
+from ggavatar.formats.splat_formats import OWN as OWN_SPLAT_FORMATS
 from ggavatar.formats.web.options import WebOptions
 from ggavatar.io.held_folders import hold_folder
 from ggavatar.text.terminal import write_out
@@ -32,10 +43,7 @@ if TYPE_CHECKING:
     from ggavatar.training.run_folder import Run
 
 SUBMISSION = "nersemble-submission"
-SPLAT_FORMATS = ("ply", "splat", "spz", "glb")
-WEB, PAGE_SUFFIXES = "web", (".html", ".htm")
-AVATAR, AVATAR_SUFFIX = "avatar", ".ggavatar"
-RUN_FORMATS = (*SPLAT_FORMATS, "gaussian-avatars", WEB, AVATAR)
+OTHER_RUN_FORMATS = ("gaussian-avatars", WEB, AVATAR)
 _NEXT_STEPS = {
     "vhap": "in GaussianAvatars: python train.py -s {path} --bind_to_mesh --white_background",
     "flash-avatar": "make parsing/%05d_neckhead.png and _mouth.png for FlashAvatar, then train it on {path}",
@@ -77,9 +85,7 @@ class Arguments:
     @property
     def kind(self) -> str:
         """The format to write."""
-        suffix = self.output.suffix.lower() if self.output is not None else ""
-        named = {**SUFFIXES, **dict.fromkeys(PAGE_SUFFIXES, WEB), AVATAR_SUFFIX: AVATAR}.get(suffix, "ply")
-        return self.format or (named if named in (*SPLAT_FORMATS, WEB, AVATAR) else "ply")
+        return chosen_format(self.format, self.output)
 
     @property
     def poses(self) -> int:
@@ -87,11 +93,15 @@ class Arguments:
         return sum([bool(self.frame), self.drive is not None, self.neutral])
 
 
+def _run_formats() -> tuple[str, ...]:
+    return (*splat_formats(), *OTHER_RUN_FORMATS)
+
+
 def _layouts() -> list[str]:
     return [
         "formats (--format), by what is exported:",
-        f"  run, avatar file     {', '.join(RUN_FORMATS)}",
-        f"  file of Gaussians    {', '.join(SPLAT_FORMATS)}",
+        f"  run, avatar file     {', '.join(_run_formats())}",
+        f"  file of Gaussians    {', '.join(splat_formats())}",
         f"  capture              {', '.join(capture_formats()) or 'none installed'}",
         f"  rendered frames      {SUBMISSION} (NeRSemble's benchmark)",
     ]
@@ -126,8 +136,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _export(arguments: Arguments) -> int:
     """Export a run, a file or a capture, depending on the format, and print what was written."""
-    known = (*RUN_FORMATS, *capture_formats(), SUBMISSION)
+    known = (*_run_formats(), *capture_formats(), SUBMISSION)
     kind = arguments.kind
+    if kind in problems():
+        plugged_format(kind)  # which says what is wrong with it
     if kind not in known:
         stale = "" if capture_formats() else "; for formats of captures, run pip install -e . again"
         raise InputError(f"unknown format {kind!r}{nearest(kind, known)}; known formats are {', '.join(known)}{stale}")
@@ -157,7 +169,7 @@ def _check_source(arguments: Arguments) -> None:
             f"{source}: expected a run folder, found a capture; for other trainers ({', '.join(layouts)}): {example}; "
             f"for an avatar, train on it first: ggavatar-train {source} -o runs/{clean_stem(source)}"
         )
-    check_given(source, AN_AVATAR if arguments.kind in RUN_FORMATS else A_CAPTURE)
+    check_given(source, AN_AVATAR if arguments.kind in _run_formats() else A_CAPTURE)
 
 
 def _check_web_options(arguments: Arguments) -> None:
@@ -174,7 +186,7 @@ def _exporter(arguments: Arguments) -> Callable[[Arguments], list[str]]:
         return _export_submission
     if is_gaussian_file(arguments.source):
         return _export_file
-    return _export_run if arguments.kind in RUN_FORMATS else _export_capture
+    return _export_run if arguments.kind in _run_formats() else _export_capture
 
 
 def _check_suffix(arguments: Arguments) -> None:
@@ -184,12 +196,12 @@ def _check_suffix(arguments: Arguments) -> None:
         raise InputError(f"-o {output}: expected a file name that ends with {AVATAR_SUFFIX} for --format {AVATAR}")
     if kind == WEB and output is not None and output.suffix.lower() not in PAGE_SUFFIXES:
         raise InputError(f"-o {output}: expected a file name that ends with .html for --format {WEB}")
-    if kind not in SPLAT_FORMATS or output is None or not output.suffix or len(arguments.frame) > 1:
+    if kind not in splat_formats() or output is None or not output.suffix or len(arguments.frame) > 1:
         return
-    meant = SUFFIXES.get(output.suffix.lower())
+    meant = written_suffixes().get(output.suffix.lower())
     if meant == kind or (arguments.format and meant is None):
         return
-    can = ", ".join(f".{name}" for name in SPLAT_FORMATS)
+    can = ", ".join(f".{name}" for name in splat_formats())
     found = f"--format {arguments.format}" if arguments.format else "a suffix that cannot be written"
     raise InputError(f"-o {output}: expected a file name with the suffix of its format ({can}), found {found}")
 
@@ -199,9 +211,9 @@ def _export_file(arguments: Arguments) -> list[str]:
     from ggavatar.formats.conversion import convert
 
     source, kind = arguments.source, arguments.kind
-    if arguments.poses or arguments.step is not None or kind not in SPLAT_FORMATS:
+    if arguments.poses or arguments.step is not None or kind not in splat_formats():
         raise InputError(
-            f"{source}: a file of Gaussians is written as {', '.join(SPLAT_FORMATS)}, without --neutral, --frame, "
+            f"{source}: a file of Gaussians is written as {', '.join(splat_formats())}, without --neutral, --frame, "
             "--drive and --step"
         )
     beside = source.parent if source.name == "meta.json" else source
@@ -367,6 +379,8 @@ def _size_text(files: int, gaussians: int) -> str:
 
 
 def _next_step_for_splats(path: Path, kind: str, files: int) -> str:
+    if kind not in OWN_SPLAT_FORMATS:
+        return f"open {path} with the program that reads .{kind}"
     if kind != "glb" and files == 1:
         return f"ggavatar-render {path} --orbit, or open it in any viewer of Gaussian splats"
     if kind == "glb":

@@ -60,6 +60,11 @@ class Tracking:
     landmarks: Float[np.ndarray, "T L 2"] | None = None
     torso_to_camera: Float[np.ndarray, "T 4 4"] | None = None
 
+    def __repr__(self) -> str:
+        """Numbers of frames and parameters."""
+        count, axes = self.expression.shape
+        return f"Tracking({count} frames, {axes} expression axes, {self.joint_rotations.shape[1]} joints)"
+
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by their names in tracking.npz; those that are None are left out."""
         named = ((item.name, getattr(self, item.name)) for item in dataclasses.fields(self))
@@ -99,6 +104,11 @@ class Capture:
     head_version: str
     source: Mapping[str, Any] = field(default_factory=dict)
     dropped: tuple[Mapping[str, Any], ...] = ()
+
+    def __repr__(self) -> str:
+        """Subject, frames, size and folder."""
+        shape = f"{len(self.frames)} frames of {self.width}×{self.height} px at {self.fps:g} fps"
+        return f"{type(self).__name__}({self.subject!r}, {shape}, head {self.head_version!r}, {str(self.folder)!r})"
 
     @staticmethod
     def open(folder: Path | str) -> Capture:

@@ -1,28 +1,27 @@
 """Dataset layouts of other trainers that a capture can be exported to, registered as entry points.
 
-A package that can write a layout registers a function (capture, folder) → report in the group below; it is imported
+A package that can write a layout registers a function (capture, folder) → report (`ggavatar.plugins`); it is imported
 only when its layout is requested.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from ggavatar.data.capture import Capture
-from ggavatar.errors import InputError
+from ggavatar.errors import InputError, nearest
 from ggavatar.formats.output_folder import atomic_folder
-
-ENTRY_POINT_GROUP = "ggavatar.capture_formats"
+from ggavatar.plugins.entry_points import CAPTURE_FORMATS, guarded, listed, own_entry_points
 
 Writer = Callable[[Capture, Path], Mapping[str, Any]]
 
 
 def capture_formats() -> list[str]:
     """Names of the installed layouts."""
-    return sorted(point.name for point in entry_points(group=ENTRY_POINT_GROUP))
+    own = own_entry_points(CAPTURE_FORMATS)
+    return sorted([*own, *listed(CAPTURE_FORMATS, own).usable])
 
 
 def export_capture(capture: Capture, kind: str, folder: Path, overwrite: bool) -> Mapping[str, Any]:
@@ -40,10 +39,28 @@ def export_capture(capture: Capture, kind: str, folder: Path, overwrite: bool) -
     Raises:
         InputError: There is no such layout, the capture cannot be written in it, or the output must not be replaced.
     """
-    points = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
-    if kind not in points:
-        installed = ", ".join(sorted(points)) or "(none is installed)"
-        raise InputError(f"expected one of the layouts {installed}, found {kind!r}")
-    write: Writer = points[kind].load()
+    write = _writer(kind)
     with atomic_folder(folder, overwrite) as temporary:
         return write(capture, temporary)
+
+
+def _writer(kind: str) -> Writer:
+    own = own_entry_points(CAPTURE_FORMATS)
+    if kind in own:
+        found: Writer = own[kind].load()
+        return found
+    plugins = listed(CAPTURE_FORMATS, own)
+    if kind not in plugins.usable and kind not in plugins.problems:
+        installed = ", ".join(capture_formats()) or "(none is installed)"
+        raise InputError(f"expected one of the layouts {installed}, found {kind!r}{nearest(kind, capture_formats())}")
+    plugin = plugins.require(kind)
+    write = plugin.load()
+
+    def guarded_write(capture: Capture, folder: Path) -> Mapping[str, Any]:
+        with guarded(plugin, "it wrote a capture"):
+            report = write(capture, folder)
+        if not isinstance(report, Mapping) or not isinstance(report.get("frames"), int):
+            raise InputError(f"{plugin}: expected a report with the number of frames, found {str(report)[:60]!r}")
+        return report
+
+    return guarded_write

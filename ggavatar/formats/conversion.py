@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.formats.export import WRITERS, ExportResult, format_losses
+from ggavatar.formats.export import ExportResult, format_losses, splat_writer
 from ggavatar.formats.gaussian_files import read_gaussians
 from ggavatar.formats.output_folder import check_output_file, output_file
 from ggavatar.formats.source_options import GaussianReadingOptions
@@ -19,7 +19,7 @@ def convert(
     Args:
         source: Any file that `read_gaussians` opens.
         options: How its numbers are meant.
-        kind: One of `WRITERS`.
+        kind: One of `ggavatar.formats.splat_formats.splat_formats`.
         path: The file to write.
         overwrite: Replace an existing file.
 
@@ -30,6 +30,7 @@ def convert(
     if path.exists() and path.samefile(source):
         raise InputError(f"{path}: expected another file than the source; choose one with -o")
     check_output_file(path, overwrite)
+    write = splat_writer(kind)
     rows = read_gaussians(source, options)
     if rows.faces is not None and kind != "ply":
         raise InputError(
@@ -37,5 +38,5 @@ def convert(
             "(binding_0); only --format ply keeps the binding"
         )
     with output_file(path, overwrite):
-        WRITERS[kind](path, rows)
+        write(path, rows)
     return ExportResult(path, len(rows), (*rows.notes, *format_losses(kind, rows)))

@@ -14,6 +14,7 @@ from ggavatar.errors import InputError
 from ggavatar.formats.drives import NamedDrive
 from ggavatar.formats.flame_parameters import PARAMETERS_FILE, FlameParameters, write_flame_parameters
 from ggavatar.formats.output_folder import atomic_folder, check_output_file, output_file
+from ggavatar.formats.splat_formats import plugged_format
 from ggavatar.formats.splats.gaussian_ply import full_degree, write_gaussian_ply
 from ggavatar.formats.splats.glb import write_glb
 from ggavatar.formats.splats.splat import write_splat
@@ -31,6 +32,7 @@ WRITERS: Mapping[str, Callable[[Path, StoredGaussians], None]] = {
     "spz": write_spz,
     "glb": write_glb,
 }
+"""Writers of our own formats."""
 BOUND_FORMAT = "gaussian-avatars"
 POINT_CLOUD_FILE = "point_cloud.ply"
 
@@ -56,14 +58,14 @@ def export_splats(run: Run, drives: Sequence[NamedDrive], kind: str, path: Path,
     Args:
         run: The avatar.
         drives: At least one.
-        kind: One of `WRITERS`.
+        kind: One of `ggavatar.formats.splat_formats.splat_formats`.
         path: The file or folder to write.
         overwrite: Replace an earlier export.
 
     Raises:
         InputError: The output exists and must not be replaced.
     """
-    write = WRITERS[kind]
+    write = splat_writer(kind)
     counts, notes = [], set()
     if len(drives) == 1:
         check_output_file(path, overwrite)
@@ -80,8 +82,15 @@ def export_splats(run: Run, drives: Sequence[NamedDrive], kind: str, path: Path,
     return ExportResult(path, max(counts), tuple(sorted(notes)))
 
 
+def splat_writer(kind: str) -> Callable[[Path, StoredGaussians], None]:
+    """The writer of a format, ours or another package's; `InputError` if there is none or it cannot be used."""
+    return WRITERS[kind] if kind in WRITERS else plugged_format(kind).write
+
+
 def format_losses(kind: str, rows: StoredGaussians) -> list[str]:
     """What a splat format cannot represent."""
+    if kind not in WRITERS:
+        return plugged_format(kind).losses(rows)
     if kind == "splat" and np.any(rows.sh_rest):
         return [".splat cannot store view-dependent color, which is left out; .ply, .spz and .glb keep it"]
     far = int((np.abs(rows.means) > MAX_SPZ_POSITION).any(axis=1).sum()) if kind == "spz" else 0

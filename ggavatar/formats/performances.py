@@ -37,6 +37,10 @@ class CarriedOver:
     cameras: tuple[Camera, ...]
     note: str = ""
 
+    def __repr__(self) -> str:
+        """Length and rate."""
+        return f"Performance({len(self.frames)} frames at {self.fps:g} fps{', ' + self.note if self.note else ''})"
+
 
 Transfer = Callable[[Run, Path, DrivingOptions], CarriedOver]
 

@@ -14,6 +14,7 @@ import torch
 
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import Split
+from ggavatar.training import registry
 from ggavatar.training.progress import peak_memory_mib
 from ggavatar.training.run_folder import RunConfig
 from ggavatar.training.trainer import Trainer
@@ -37,8 +38,15 @@ def provenance_of(config: RunConfig, capture: Capture, split: Split) -> dict[str
         "seed": config.seed,
         "capture_sha256": capture.digest(),
         "split_sha256": hashlib.sha256(lists).hexdigest(),
+        **method_package_of(config.method),
         "finished": False,
     }
+
+
+def method_package_of(method: str) -> dict[str, Any]:
+    """The package that brings a method, as an entry of provenance.json; none for a method of our own."""
+    plugin = registry.load(method).plugin
+    return {} if plugin is None else {"method_package": {"name": plugin.package, "version": plugin.version}}
 
 
 def outcome_of(trainer: Trainer, done: int) -> dict[str, Any]:

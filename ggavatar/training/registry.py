@@ -1,11 +1,11 @@
-"""The registry of methods: each file in `ggavatar/methods/` is a method named after the file.
+"""The registry of methods: each file in `ggavatar/methods/` is one, and each module that a package registers.
 
-A method's file defines `Config` (a frozen dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of
-Config by variant; each is a further method, named `file_variant`). It may define `PRESETS` (overrides of Config by
-preset), `rasterizer(device, backend)` (a renderer of its own), `least_gaussians(head)` (the smallest number it can work
-with) and `TABLE_NOTES` (sentences below every table that shows the method, such as where it deviates from its paper).
-Names, descriptions and notes are read from the source, so that listing them imports no method; a method is imported
-when it is used.
+A file is named by its stem, a module by its entry point (`ggavatar.plugins`). Either defines `Config` (a frozen
+dataclass), `build(config, scene) -> Avatar` and `VARIANTS` (overrides of Config by variant; each is a further method,
+named `method_variant`). It may define `PRESETS` (overrides of Config by preset), `rasterizer(device, backend)` (a
+renderer of its own), `least_gaussians(head)` (the smallest number it can work with) and `TABLE_NOTES` (sentences below
+every table that shows the method, such as where it deviates from its paper). Names, descriptions and notes are read
+from the source, so that listing them imports no method; a method is imported when it is used.
 """
 
 from __future__ import annotations
@@ -20,9 +20,13 @@ from typing import Any
 
 from ggavatar.errors import InputError, nearest
 from ggavatar.io.dataclass_json import from_plain, override
+from ggavatar.io.regular_files import read_file
+from ggavatar.plugins.entry_points import METHODS, Listed, Plugin, listed, source_of
 from ggavatar.training.preset_rule import check_preset
 
 METHODS_FOLDER = Path(__file__).parents[1] / "methods"
+MAX_SOURCE_BYTES = 1 << 22
+"""Largest source of a method that is read for its description."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +37,13 @@ class Method:
         name: Its name on the command line.
         module: The imported file.
         overrides: Fields of `Config` that the variant changes.
+        plugin: What another package registers; None for a method of our own.
     """
 
     name: str
     module: ModuleType
     overrides: Mapping[str, Any]
+    plugin: Plugin | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -70,43 +76,55 @@ class Method:
         return getattr(self.module, "rasterizer", pick)(device, backend)
 
 
+@dataclass(frozen=True)
+class _Source:
+    """What the source of a method says: its description and the names of its variants."""
+
+    path: Path
+    description: str
+    variants: tuple[str, ...]
+    plugin: Plugin | None = None
+
+    def names(self, stem: str) -> dict[str, str]:
+        """Every command-line name with its description, variants after their method."""
+        variants = {f"{stem}_{variant}": f"{stem}, {variant.replace('_', ' ')}" for variant in self.variants}
+        return {stem: self.description, **variants}
+
+
 def names() -> dict[str, str]:
     """Every command-line name with its one-line description, in alphabetical order, variants after their method."""
-    found = {}
-    for path in sorted(METHODS_FOLDER.glob("*.py")):
-        if not path.stem.startswith("_"):
-            description, variants = _describe(path)
-            found[path.stem] = description
-            found.update(
-                {f"{path.stem}_{variant}": f"{path.stem}, {variant.replace('_', ' ')}" for variant in variants}
-            )
-    return found
+    sources, _ = _sources()
+    return {name: text for stem in sorted(sources) for name, text in sources[stem].names(stem).items()}
+
+
+def problems() -> dict[str, str]:
+    """Why methods of other packages cannot be used, one sentence each, by name."""
+    return _sources()[1]
 
 
 def load(name: str) -> Method:
     """Import a method by its command-line name.
 
     Raises:
-        InputError: There is no such method; the message suggests the nearest name.
+        InputError: There is no such method, and the message suggests the nearest name; or it is that of another
+            package and cannot be imported.
     """
     check_name(name)
-    stem = _stem(name)
-    module = importlib.import_module(f"ggavatar.methods.{stem}")
-    return Method(name, module, {} if name == stem else module.VARIANTS[name.removeprefix(stem + "_")])
-
-
-def _stem(name: str) -> str:
-    """The file of a known method or variant, without suffix."""
-    stems = (path.stem for path in METHODS_FOLDER.glob("*.py"))
-    return max((stem for stem in stems if name == stem or name.startswith(stem + "_")), key=len)
+    stem, source = _source_of_name(name)
+    if source.plugin is None:
+        module = importlib.import_module(f"ggavatar.methods.{stem}")
+    else:
+        module = source.plugin.load("Config", "build")
+    overrides = {} if name == stem else module.VARIANTS[name.removeprefix(stem + "_")]
+    return Method(name, module, overrides, source.plugin)
 
 
 def table_notes(name: str) -> tuple[str, ...]:
     """The notes of a method or variant for tables; none for unknown methods. Imports no method if they are literals."""
     if name not in names():
         return ()
-    path = METHODS_FOLDER / f"{_stem(name)}.py"
-    for node in ast.parse(path.read_text(encoding="utf-8"), str(path)).body:
+    _, source = _source_of_name(name)
+    for node in _syntax(source.path).body:
         targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
         if any(isinstance(target, ast.Name) and target.id == "TABLE_NOTES" for target in targets):
             try:
@@ -119,13 +137,64 @@ def table_notes(name: str) -> tuple[str, ...]:
 def check_name(name: str) -> None:
     """Raise an `InputError` that suggests the nearest name if there is no method of this name."""
     known = names()
-    if name not in known:
-        raise InputError(f"unknown method {name!r}{nearest(name, known)}; known methods are {', '.join(known)}")
+    if name in known:
+        return
+    unusable = problems()
+    if name in unusable:
+        raise InputError(unusable[name])
+    raise InputError(
+        f"unknown method {name!r}{nearest(name, known)}; known methods are {', '.join(known)}. Install the package "
+        "of a method that is not among them"
+    )
 
 
-def _describe(path: Path) -> tuple[str, list[str]]:
+def _sources() -> tuple[dict[str, _Source], dict[str, str]]:
+    """Sources of all methods by stem, and why methods of other packages are left out."""
+    paths = (path for path in sorted(METHODS_FOLDER.glob("*.py")) if not path.stem.startswith("_"))
+    found = {path.stem: _Source(path, *_describe(path)) for path in paths}
+    plugins = listed(METHODS, found)
+    unusable = dict(plugins.problems)
+    taken = {name: "ggavatar" for stem, source in found.items() for name in source.names(stem)}
+    for stem, source in _plugin_sources(plugins, unusable).items():
+        own = source.names(stem)
+        if clash := next((name for name in own if name in taken), None):
+            unusable[stem] = (
+                f"{source.plugin} is left out: {taken[clash]} has a method {clash!r} too; its author has to rename it"
+            )
+        else:
+            found[stem] = source
+            taken |= dict.fromkeys(own, str(source.plugin))
+    return found, unusable
+
+
+def _plugin_sources(plugins: Listed, unusable: dict[str, str]) -> dict[str, _Source]:
+    """Sources of other packages' methods by name; adds to `unusable` why one cannot be read."""
+    found = {}
+    for name, plugin in plugins.usable.items():
+        path = source_of(plugin.module)
+        try:
+            found[name] = _Source(path, *_describe(path), plugin) if path is not None else None
+        except (InputError, OSError, SyntaxError, ValueError) as error:
+            unusable[name] = f"{plugin} is left out: its source cannot be read ({error}); update {plugin.package}"
+            continue
+        if path is None:
+            unusable[name] = f"{plugin} is left out: no module {plugin.module} is installed; update {plugin.package}"
+    return {name: source for name, source in found.items() if source is not None}
+
+
+def _source_of_name(name: str) -> tuple[str, _Source]:
+    """Stem and source of a known method or variant."""
+    sources, _ = _sources()
+    return next((stem, source) for stem, source in sources.items() if name in source.names(stem))
+
+
+def _syntax(path: Path) -> ast.Module:
+    return ast.parse(read_file(path, MAX_SOURCE_BYTES, "the source of a method"), str(path))
+
+
+def _describe(path: Path) -> tuple[str, tuple[str, ...]]:
     """First line of a method's docstring and the names of its variants, without importing it."""
-    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    tree = _syntax(path)
     variants: list[str] = []
     for node in tree.body:
         if isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(node.value, ast.Dict):
@@ -134,4 +203,4 @@ def _describe(path: Path) -> tuple[str, list[str]]:
                 variants = [
                     key.value for key in node.value.keys if isinstance(key, ast.Constant) and isinstance(key.value, str)
                 ]
-    return (ast.get_docstring(tree) or "").split("\n")[0], variants
+    return (ast.get_docstring(tree) or "").split("\n")[0], tuple(variants)

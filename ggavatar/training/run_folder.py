@@ -35,6 +35,7 @@ from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json, write_sealed_json
+from ggavatar.text.names import clean_text
 from ggavatar.training import registry
 from ggavatar.training.checkpoint import has_checkpoint, load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
@@ -113,6 +114,10 @@ class Run:
     step: int
     sha256: str
     reader: Frames
+
+    def __repr__(self) -> str:
+        """Method, steps, subject and folder."""
+        return f"Run({self.method!r}, {self.step} steps, subject {self.capture.subject!r}, {str(self.folder)!r})"
 
     def frames(self, numbers: Iterable[int]) -> Iterator[Frame]:
         """Frames by source number, at the capture's size, composited on the run's background; reads a few ahead."""
@@ -198,7 +203,7 @@ def assembled_run(
     """
     config, capture = stored.config, stored.capture
     scene, reader = make_scene(config, capture, stored.split, device, head=stored.head)
-    method = registry.load(config.method)
+    method = _method_of(folder, config, provenance)
     avatar = method.build(method.config_from(config.method_config, f"{folder}: method_config"), scene)
     unpack_avatar(avatar, stored.tensors)
     return Run(
@@ -216,6 +221,18 @@ def assembled_run(
         sha256=sha256,
         reader=reader,
     )
+
+
+def _method_of(folder: Path, config: RunConfig, provenance: Mapping[str, Any]) -> registry.Method:
+    """The method of a run; if it is not installed, the message names the package that the run says it is from."""
+    package = provenance.get("method_package")
+    if isinstance(package, Mapping) and config.method not in {**registry.names(), **registry.problems()}:
+        named = clean_text(f"{package.get('name')} {package.get('version')}")
+        raise InputError(
+            f"{folder}: expected the package {named}, whose method {config.method} trained it, found no such method; "
+            "install the package"
+        )
+    return registry.load(config.method)
 
 
 def make_scene(

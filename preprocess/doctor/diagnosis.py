@@ -66,6 +66,11 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     measures: Mapping[str, Any]
 
+    def __repr__(self) -> str:
+        """The verdict and a line for every finding."""
+        lines = [f"  {one.severity}: {one.message}{f' [{one.flag}]' if one.flag else ''}" for one in self.findings]
+        return "\n".join([f"Diagnosis({'healthy' if self.healthy else 'not healthy'})", *lines])
+
     @property
     def healthy(self) -> bool:
         """Whether there are no faults; warnings may remain."""

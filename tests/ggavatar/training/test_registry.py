@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import subprocess
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from ggavatar.errors import InputError
-from ggavatar.training import registry
+from ggavatar.plugins.entry_points import METHODS
+from ggavatar.training import registry, run_folder
+from ggavatar.training.provenance import method_package_of
+from ggavatar.training.run_folder import RunConfig
+from tests.support.plugin_packages import install
 
 STRANGER = '''"""A stranger that only exists in this test."""
 from dataclasses import dataclass
@@ -116,3 +122,74 @@ def test_notes_for_tables_are_read_from_the_source(
 
 def test_a_method_without_notes_has_none() -> None:
     assert registry.Method("x", types.ModuleType("x"), {}).notes == ()
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty folder of installed packages; modules named `of_a_test…` are forgotten afterwards."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("of_a_test")]:
+        del sys.modules[name]
+
+
+def test_a_method_of_another_package_is_one_of_ours(site: Path) -> None:
+    install(site, "dots", {"of_a_test.dots": STRANGER}, {METHODS: {"dots": "of_a_test.dots"}}, version="1.5")
+    assert registry.names()["dots_slow"] == "dots, slow" and "of_a_test.dots" not in sys.modules
+    slow = registry.load("dots_slow")
+    assert slow.config().rate == 0.1 and str(slow.plugin) == "method 'dots' of the package dots 1.5"
+    assert method_package_of("dots") == {"method_package": {"name": "dots", "version": "1.5"}}
+    assert method_package_of("ggavatar") == {}
+
+
+def test_the_help_lists_it_and_names_what_is_broken(site: Path) -> None:
+    """A new process, whose packages are found by PYTHONPATH."""
+    install(site, "dots", {"of_a_test_dots": STRANGER, "of_a_test_open": '"""Open."""\ndef ('}, {})
+    (site / "dots-1.dist-info" / "entry_points.txt").write_text(
+        f"[{METHODS}]\ndots = of_a_test_dots\nopen = of_a_test_open\ngone = of_a_test_gone\nggavatar_plus = x\n"
+    )
+    code = "from ggavatar.cli.train import _description as d; import sys; print(d()); sys.exit('torch' in sys.modules)"
+    paths = os.pathsep.join((str(site), str(Path(__file__).parents[3])))
+    shown = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True
+    )
+    assert shown.returncode == 0, shown.stderr
+    assert "  dots: A stranger that only exists in this test." in shown.stdout and "  ggavatar: " in shown.stdout
+    notes = [line for line in shown.stdout.splitlines() if line.startswith("Note: ")]
+    assert len(notes) == 3
+    for words in ("'open' of the package dots 1 is left out: its source", "no module of_a_test_gone", "of this name"):
+        assert sum(words in note for note in notes) == 1, notes
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("import no_such_module_of_a_test\nConfig = VARIANTS = {}", "failed when it was imported: ModuleNotFoundError"),
+        ("VARIANTS = {}", "found no Config, build"),
+    ],
+)
+def test_a_broken_method_is_refused_where_it_is_used_only(source: str, message: str, site: Path) -> None:
+    install(site, "dots", {"of_a_test_dots": source}, {METHODS: {"dots": "of_a_test_dots"}})
+    assert {"dots", "ggavatar"} <= set(registry.names())
+    assert registry.load("ggavatar").plugin is None
+    with pytest.raises(InputError, match=message):
+        registry.load("dots")
+
+
+def test_names_of_variants_clash_too(site: Path) -> None:
+    """`ggavatar_without` with a variant `lbs` would be an ablation of ours."""
+    source = STRANGER.replace('"slow"', '"lbs"')
+    install(site, "a", {"of_a_test_a": source}, {METHODS: {"ggavatar_without": "of_a_test_a"}})
+    assert "ggavatar has a method 'ggavatar_without_lbs' too" in registry.problems()["ggavatar_without"]
+    with pytest.raises(InputError, match="package a 1 is left out"):
+        registry.load("ggavatar_without")
+    assert registry.load("ggavatar_without_lbs").plugin is None
+
+
+def test_a_run_names_the_package_that_is_missing(site: Path) -> None:
+    config = RunConfig("dots", "capture")
+    package = {"method_package": {"name": "dots\x1b[2J", "version": "1.5"}}
+    with pytest.raises(InputError, match=r"^run: expected the package dots\S*2J 1.5, whose method dots trained it"):
+        run_folder._method_of(Path("run"), config, package)
+    with pytest.raises(InputError, match=r"unknown method 'dots'.*Install the package"):
+        run_folder._method_of(Path("run"), config, {})

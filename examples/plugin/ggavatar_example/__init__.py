@@ -1,0 +1,1 @@
+"""What this package adds to GGAvatar; pyproject.toml says under which names."""

@@ -1,0 +1,1 @@
+"""What other packages register under our entry-point groups (docs/plugins.md)."""
