@@ -19,6 +19,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from ggavatar.cli.cell_progress import show_cells
 from ggavatar.cli.given import TO_TRAIN_ON, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
@@ -192,9 +193,11 @@ def _train_all(cells: Sequence[Cell], arguments: Arguments, backend: Backend) ->
     sys.stdout.flush()
     outcomes = []
     trainings = [CellTraining(name, functools.partial(train_cell, cell, *settings)) for name, cell in missing.items()]
-    for outcome in backend.run(trainings) if trainings else ():
-        outcomes.append(outcome)
-        _report(outcome, missing[outcome.cell], len(outcomes), len(trainings))
+    with show_cells(list(missing.values())) as watch:
+        for outcome in backend.run(trainings) if trainings else ():
+            outcomes.append(outcome)
+            watch.done.add(missing[outcome.cell].folder)
+            _report(outcome, missing[outcome.cell], len(outcomes), len(trainings))
     return outcomes
 
 

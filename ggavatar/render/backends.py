@@ -19,6 +19,8 @@ BACKENDS = {
     "gsplat": "ggavatar.render.gsplat",
 }
 """Module of every backend, by name."""
+_REQUIRED = {"triton": "cuda", "gsplat": "cuda", "cpu": "cpu"}
+"""The only kind of device that a backend renders on."""
 
 
 def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
@@ -36,15 +38,26 @@ def pick(device: torch.device | str, backend: str = "auto") -> Rasterizer:
     kind = torch.device(device).type
     if backend != "auto":
         return _named(backend, kind)
-    wanted = {"cuda": ("triton", "gsplat"), "cpu": ("cpu",)}.get(kind, ())
-    lacks = []
-    for name in wanted:
-        lacks.append(_missing(name))
-        if not lacks[-1]:
-            return load(name)
-    if lacks:
+    name, lacks = choice(kind)
+    if name == "reference" and lacks:
         write_err(f"rendering with the reference rasterizer, which is many times slower: {'; '.join(lacks)}")
-    return load("reference")
+    return load(name)
+
+
+def choice(kind: str) -> tuple[str, list[str]]:
+    """The backend that `auto` means on a kind of device, and what the better ones that it passed over lack."""
+    lacks: list[str] = []
+    for name in {"cuda": ("triton", "gsplat"), "cpu": ("cpu",)}.get(kind, ()):
+        if not (lack := _missing(name)):
+            return name, lacks
+        lacks.append(lack)
+    return "reference", lacks
+
+
+def lacking(backend: str, kind: str) -> str:
+    """Why a backend cannot run on a kind of device; empty if it can."""
+    required = _REQUIRED.get(backend, kind)
+    return _missing(backend) if kind == required else f"needs tensors on a {required} device"
 
 
 def _missing(backend: str) -> str:
@@ -74,7 +87,7 @@ def _missing_for_gsplat() -> str:
 def _named(backend: str, kind: str) -> Rasterizer:
     if backend not in BACKENDS:
         raise InputError(f"expected a rasterizer of auto, {', '.join(BACKENDS)}; found {backend!r}")
-    required = {"triton": "cuda", "gsplat": "cuda", "cpu": "cpu"}.get(backend, kind)
+    required = _REQUIRED.get(backend, kind)
     if kind != required:
         raise InputError(f"the {backend} rasterizer needs tensors on a {required} device, found {kind!r}; use auto")
     missing = _missing(backend)

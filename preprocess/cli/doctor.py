@@ -1,4 +1,4 @@
-"""`ggavatar-doctor`: examine an existing capture."""
+"""`ggavatar-doctor`: examine an existing capture, or this computer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ggavatar.cli.given import A_CAPTURE, check_given
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
-from ggavatar.errors import GateError
+from ggavatar.errors import GateError, InputError
 from ggavatar.text.clocked_lines import waiting
 from ggavatar.text.terminal import write_out
 
@@ -27,10 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """Report what is wrong with a capture and which flag fixes it; writes doctor.json and preview.jpg into it."""
+    """Report what is wrong with a capture and which flag fixes it, or what this computer has."""
 
-    capture: tyro.conf.Positional[Path]
-    """Capture folder to examine."""
+    capture: tyro.conf.Positional[Path | None] = None
+    """Capture folder to examine; not with --environment."""
+
+    environment: bool = False
+    """Report on this computer instead: versions, device, rasterizers, model files, caches, what is missing."""
 
     strict: bool = False
     """Exit with code 3 if the doctor finds a fault."""
@@ -46,14 +49,15 @@ PAGE = CommandPage(
     program="ggavatar-doctor",
     options=DoctorOptions,
     summary=(
-        "Report what is wrong with a capture and which flag fixes it; writes doctor.json and preview.jpg into it."
+        "Report what is wrong with a capture and which flag fixes it, and write doctor.json and preview.jpg into "
+        "it; or report on this computer."
     ),
     examples=(
         ("ggavatar-doctor captures/alice", "the findings, worst first, and the flags that fix them"),
         ("ggavatar-doctor captures/alice --strict --dry-run", "for a script: exit code 3 for a fault, nothing written"),
-        ("ggavatar-doctor captures/alice --json", "the whole report for a program"),
+        ("ggavatar-doctor --environment", "what this computer has for the commands, and what is missing"),
     ),
-    groups={"what is done with the report": ("strict", "json", "dry_run")},
+    groups={"another report": ("environment",), "what is done with the report": ("strict", "json", "dry_run")},
 )
 
 
@@ -79,9 +83,33 @@ def _write(capture: Capture, head: HeadModel, diagnosis: Diagnosis) -> None:
         raise OSError(f"{what}; add --dry-run to examine it without writing") from error
 
 
+def _examine_environment(options: DoctorOptions) -> int:
+    """Print what this computer has."""
+    import json
+
+    if options.capture is not None or options.strict or options.dry_run:
+        raise InputError("--environment examines this computer; leave out CAPTURE, --strict and --dry-run")
+    announce_start(options.json)
+    from ggavatar.cli.environment import environment, environment_lines
+
+    with waiting("examining", options.json):
+        report = environment()
+    if options.json:
+        sys.stdout.write(json.dumps(report) + "\n")
+    else:
+        write_out(*environment_lines(report))
+    return 0
+
+
 def _examine(options: DoctorOptions) -> int:
     import json
 
+    if options.environment:
+        return _examine_environment(options)
+    if options.capture is None:
+        raise InputError(
+            "expected CAPTURE (capture folder to examine) or --environment, found neither; see ggavatar-doctor --help"
+        )
     check_given(options.capture, A_CAPTURE)
     announce_start(options.json)
     from ggavatar.data.capture import Capture

@@ -50,7 +50,7 @@ def no_training(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "expected at least one capture folder"),
+        ([], "expected CAPTURES"),
         (["{capture}", "{missing}"], "nowhere"),
         (["{capture}", "{empty}"], "capture.json"),
         (["{capture}", "{damaged}"], "tracking.npz"),
