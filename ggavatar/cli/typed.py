@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Protocol, runtime_checkable
 
 from ggavatar.cli.flags import Flag, flags_of
 from ggavatar.errors import InputError, nearest
 
-if TYPE_CHECKING:
-    from ggavatar.cli.page import CommandPage
-
 NUMBERS = {int: "a whole number", float: "a number"}
 
 
-def check_typed(page: CommandPage, given: Sequence[str]) -> None:
+@runtime_checkable  # the tests' run-time type checker needs it
+class Page(Protocol):
+    """What is asked of a command's page, `ggavatar.cli.page.CommandPage`."""
+
+    @property
+    def program(self) -> str:
+        """Name of the command."""
+        ...
+
+    @property
+    def usage(self) -> str:
+        """How it is called."""
+        ...
+
+    @property
+    def options(self) -> type:
+        """The dataclass that its flags fill."""
+        ...
+
+    @property
+    def checks(self) -> Mapping[str, Callable[[str], None]]:
+        """Checks of values, by field."""
+        ...
+
+
+def check_typed(page: Page, given: Sequence[str]) -> None:
     """Check flags, the number of their values, and their values, before the parser does.
 
     Raises:
@@ -91,7 +113,7 @@ def one_of(flag: str, known: Collection[str]) -> Callable[[str], None]:
     return check
 
 
-def _check_value(page: CommandPage, flag: Flag, name: str, value: str) -> None:
+def _check_value(page: Page, flag: Flag, name: str, value: str) -> None:
     if flag.choices:
         one_of(name, flag.choices)(value)
     if flag.field in page.checks:
@@ -103,7 +125,7 @@ def _check_value(page: CommandPage, flag: Flag, name: str, value: str) -> None:
             raise InputError(f"{name} {value}: expected {NUMBERS[flag.kind]}, found {value!r}") from error
 
 
-def _check_places(page: CommandPage, positional: Sequence[Flag], places: Sequence[str]) -> None:
+def _check_places(page: Page, positional: Sequence[Flag], places: Sequence[str]) -> None:
     """Check the arguments that are no flags: how many there are, and those that have a check."""
     needed = [flag for flag in positional if flag.required]
     if len(places) < len(needed):

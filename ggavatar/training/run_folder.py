@@ -401,7 +401,7 @@ def capture_places(folder: Path, config: RunConfig) -> list[Path]:
     The relative path comes first, so that a copy of both works with its own capture, whatever became of the original.
     """
     relative = _read_run_file(folder / "config.json").get("capture_relative")
-    beside = [folder / relative] if isinstance(relative, str) and relative else []
+    beside = [Path(os.path.normpath(folder.resolve() / relative))] if isinstance(relative, str) and relative else []
     return [*beside, Path(config.capture)]
 
 

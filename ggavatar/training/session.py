@@ -14,6 +14,7 @@ from ggavatar.errors import InputError
 from ggavatar.head.files import load_head
 from ggavatar.io.dataclass_json import override
 from ggavatar.io.folder_lock import lock_folder
+from ggavatar.io.free_space import require_space
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import write_sealed_json
 from ggavatar.losses.vgg import perceptual_loss
@@ -93,6 +94,7 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
             config = with_settled_features(config)
             with waiting("preparing the avatar", quiet):
                 trainer = make_trainer(output, config, capture, split)
+            require_space(output, checkpoint_bytes(trainer.avatar))
             make_folder(output)  # the input is usable: a failed start leaves nothing behind
             with lock_folder(output):
                 create_run_folder(output, overwrite)
@@ -101,6 +103,11 @@ def train_run(capture_folder: Path, output: Path, options: Mapping[str, Any], qu
     if stop.received is not None and done < config.training.steps:
         raise TrainingInterrupted(done, stop.received)
     return done
+
+
+def checkpoint_bytes(avatar: Any) -> int:
+    """Size of the first checkpoint at the least: what is learned, with the two moments of Adam of each value."""
+    return 3 * sum(value.numel() * value.element_size() for value in avatar.parameters())
 
 
 def _expect_run(output: Path) -> bool:

@@ -14,6 +14,9 @@ from ggavatar.cli.run import run_command
 from ggavatar.errors import InputError
 from ggavatar.text.terminal import write_out
 
+HEAD_BYTES, FRAME_BYTES = 1_000_000, 4_000
+"""The head model, and mask, tracking and video of a frame of the smallest size that shows a person."""
+
 
 @dataclass(frozen=True)
 class DemoOptions:
@@ -74,6 +77,7 @@ def _write(options: DemoOptions) -> None:
     _check(options)
     announce_start()
     from ggavatar.io.folder_lock import lock_folder
+    from ggavatar.io.free_space import require_space
     from ggavatar.io.held_folders import make_folder
     from preprocess.synthetic.demo import DemoSettings, write_demo
     from preprocess.synthetic.output_folder import check_demo_folder, prepare_demo_folder
@@ -81,6 +85,7 @@ def _write(options: DemoOptions) -> None:
     values = asdict(options)
     folder, overwrite = values.pop("output_dir"), values.pop("overwrite")
     check_demo_folder(folder, overwrite=overwrite)
+    require_space(folder, HEAD_BYTES + FRAME_BYTES * options.frames)
     make_folder(folder)
     with lock_folder(folder):
         prepare_demo_folder(folder, overwrite=overwrite)

@@ -139,7 +139,7 @@ def test_a_mistake_is_one_line_with_what_is_expected(typed: str, said: str) -> N
         ("ggavatar-sweep", "a -o b --methods ggavatr", "did you mean ggavatar?"),
         ("ggavatar-prep", "a -o b --format vhp", "did you mean vhap?"),
         ("ggavatar-eval", "a --protocol papr", "did you mean paper?"),
-        ("ggavatar-demo", "-o b --background bussy", "did you mean busy?"),
+        ("ggavatar-demo", "-o b --background buzy", "did you mean busy?"),
     ],
 )
 def test_names_are_checked_before_anything_is_loaded(program: str, typed: str, said: str) -> None:
