@@ -62,7 +62,7 @@ class DriveCorrections(nn.Module):
     def optimizer(self) -> torch.optim.Optimizer:
         """Adam on all frames at once, ε = 1e-15, made when it is first used.
 
-        As in GaussianAvatars, a frame's corrections keep moving by their moments between two visits.
+        A frame's corrections keep moving by their moments between two visits, as in GaussianAvatars.
         """
         return torch.optim.Adam(self.groups, betas=(0.9, 0.999), eps=1e-15, fused=True)
 
