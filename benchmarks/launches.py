@@ -13,7 +13,6 @@ from typing import Any
 
 from benchmarks.pretended.capture import FRAMES, write_capture
 from benchmarks.pretended.device import pretended_cuda
-from benchmarks.pretended.rasterizers import RASTERIZER
 from benchmarks.pretended.training import Counts, count_frame, make_pretended_trainer, train_counted
 from ggavatar.data.capture import Capture
 from ggavatar.training import registry
@@ -31,10 +30,10 @@ def methods() -> list[str]:
     return [name for name in registry.names() if name in stems]
 
 
-def count(method: str, capture: Capture, folder: Path) -> dict[str, Any]:
-    """Counts of a method with the settings of its paper."""
-    with pretended_cuda() as tally:
-        options = {"preset": "paper", "steps": STEPS, "set": SETTINGS.get(method, ())}
+def count(method: str, capture: Capture, folder: Path, *settings: str) -> dict[str, Any]:
+    """Counts of a method with the settings of its paper, and others by name."""
+    with pretended_cuda(with_kernels=True) as tally:
+        options = {"preset": "paper", "steps": STEPS, "set": (*SETTINGS.get(method, ()), *settings)}
         trainer = make_pretended_trainer(method, capture, folder, options)
         set_up = Counts.of(tally)
         step = train_counted(trainer, tally).steps[STEPS - 1]
@@ -51,15 +50,22 @@ def count(method: str, capture: Capture, folder: Path) -> dict[str, Any]:
     }
 
 
+def _has_perceptual_loss(method: str) -> bool:
+    return bool(getattr(registry.load(method).config("paper"), "perceptual_weight", 0))
+
+
 def run(options: argparse.Namespace) -> dict[str, object]:
     """Count all methods, or the first one."""
     names = [FIRST] if options.quick else methods()
     with tempfile.TemporaryDirectory() as folder:
         capture = write_capture(Path(folder) / "capture")
         found = {name: count(name, capture, Path(folder) / name) for name in names}
+        for name in filter(_has_perceptual_loss, names):
+            bare = count(name, capture, Path(folder) / f"{name}-bare", "perceptual_weight=0")
+            found[name]["launches_per_step_without_vgg"] = bare["launches_per_step"]
     top = {name: value for name, value in found[FIRST].items() if name.endswith(("_per_step", "_per_frame"))}
     note = {
         "device": "pretended: nothing is timed",
-        "rasterizer": f"a stand-in, counted as {RASTERIZER.forward} launch forward and {RASTERIZER.backward} backward",
+        "kernels": "ours in Triton, counted and not run; operations of torch as launches that they are known to need",
     }
     return top | {"counted_on": note, "methods": found}

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
+from benchmarks.pretended.kernels import counted_kernels
 from benchmarks.pretended.rasterizers import stand_ins
 from benchmarks.pretended.tally import Tally
 from benchmarks.pretended.tensors import PretendedTensor, note_transfer
@@ -21,10 +22,15 @@ COPIED_IN = ("tensor", "as_tensor", "asarray", "scalar_tensor")
 
 
 @contextlib.contextmanager
-def pretended_cuda() -> Iterator[Tally]:
+def pretended_cuda(with_kernels: bool = False) -> Iterator[Tally]:
     """While active, the device `cuda` exists; yields what it counts.
 
-    Not pretended: kernels, streams, races, memory and speed. The rasterizers are stand-ins (`rasterizers.py`).
+    Not pretended: streams, races, memory and speed.
+
+    Args:
+        with_kernels: Count what is launched on a GPU where Triton works, with our kernels writing nothing
+            (`kernels.py`); else compute right values, with rasterizers that are stand-ins (`rasterizers.py`) and the
+            torch twins of the other kernels.
     """
     tally = Tally()
     functions = {
@@ -41,7 +47,7 @@ def pretended_cuda() -> Iterator[Tally]:
         for name, function in functions.items():
             stack.enter_context(mock.patch.object(torch.cuda, name, function))
         stack.enter_context(mock.patch.object(Tensor, "pin_memory", _pinned))
-        stack.enter_context(stand_ins())
+        stack.enter_context(counted_kernels() if with_kernels else stand_ins())
         stack.enter_context(mock.patch.object(torch.autograd, "_engine_run_backward", _backward_with(tally)))
         stack.enter_context(PretendedFunctions(tally))
         constant.cache_clear()
@@ -94,6 +100,8 @@ class PretendedFunctions(TorchFunctionMode):
             raise RuntimeError("expected a 'cuda' generator, found 'cpu'")
         with torch._C.DisableTorchFunction():
             found = func(*args, **{**kwargs, "device": "cpu"})
+            if name == "empty":
+                found.detach().zero_()  # what a kernel that is only counted would write
         self.tally.launch(name)
         if name in COPIED_IN and not isinstance(args[0], PretendedTensor):
             self.tally.wait(f"{name}(device=cuda)")

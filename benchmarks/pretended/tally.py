@@ -22,7 +22,7 @@ NO_LAUNCH = frozenset(
 """Operations that only describe memory."""
 
 SEVERAL_LAUNCHES = {
-    "_foreach_norm": 2, "_fused_adam_": 2, "_index_put_impl_": 6, "argsort": 4, "index_put": 6, "index_put_": 6,
+    "_foreach_norm": 2, "_index_put_impl_": 6, "argsort": 4, "index_put": 6, "index_put_": 6,
     "sort": 4, "topk": 4,
 }  # fmt: skip
 """Launches of operations that need more than one on CUDA; accumulating `index_put` sorts its indices."""

@@ -102,6 +102,8 @@ def _dispatch(func: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> Any:
         tally.wait(name)
     _check_devices(name, args, kwargs, tally)
     found = func(*tree_map(inner, args), **_on_the_cpu(kwargs))
+    if "empty" in name:
+        found.detach().zero_()  # what a kernel that is only counted would write
     tally.launch(name)
     return _wrapped(found, ours, tally, func._schema.is_mutable)
 
@@ -164,10 +166,13 @@ def _convert(tally: Tally, source: Tensor, kwargs: dict[str, Any]) -> PretendedT
 
 
 def note_transfer(tally: Tally, source: Tensor, non_blocking: bool) -> None:
-    """Count a copy between host and device, for which the host waits unless it is from pinned memory and need not."""
+    """Count a copy between host and device, for which the host waits unless it need not.
+
+    It need not if it asked so and the memory of the host is pinned; torch itself pins what it copies to the host so.
+    """
     to_host = isinstance(source, PretendedTensor)
     tally.launch("copy to the host" if to_host else "copy to the device")
-    if to_host or not non_blocking or not is_pinned(source):
+    if not (non_blocking and (to_host or is_pinned(source))):
         tally.wait("copy to the host" if to_host else "copy to the device")
 
 

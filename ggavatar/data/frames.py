@@ -252,4 +252,4 @@ def _to_float(pixels: np.ndarray, device: torch.device | str) -> Tensor:
 
 def _unit(pixels: Tensor) -> Tensor:
     """8-bit values in [0, 1]."""
-    return pixels.to(torch.float32) / 255
+    return pixels / 255

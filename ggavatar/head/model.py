@@ -12,7 +12,11 @@ from torch import Tensor
 
 from ggavatar.core import Drive
 from ggavatar.geometry.transforms import axis_angle_to_matrix, matrix_to_rotation_6d
+from ggavatar.jit import device_kernels
 from ggavatar.jit.constants import constant
+
+POSED_BY = ("template", "expression_basis", "pose_basis", "eyelid_basis", "joint_regressor", "skinning_weights")
+"""Arrays of a head that decide where its vertices are."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,10 @@ class HeadModel:
         has them depend on the identity alone. Eyelid displacements rotate with the neck, so that they stay rigid with
         the head; with an unrotated neck this equals metrical-tracker's addition after skinning.
         """
+        if self._has_kernels_for(drive):
+            from ggavatar.head import posing_triton
+
+            return posing_triton.vertices(self, drive)
         shaped = self.template + (self.expression_basis.flatten(0, 1) @ drive.expression).view_as(self.template)
         joints = self.joint_regressor @ shaped
         rotations = axis_angle_to_matrix(drive.joint_rotations)
@@ -108,8 +116,25 @@ class HeadModel:
         matrices = (blend @ linear.flatten(1)).view(-1, 3, 3)
         posed = (matrices @ shaped[:, :, None]).squeeze(-1) + blend @ offset
         lids = (self.eyelid_basis.flatten(0, 1) @ drive.eyelids).view_as(posed)
-        carrier = linear[self.joint_index("neck")] if "neck" in self.joint_names else linear[0]
-        return posed + lids @ carrier.T + drive.translation
+        return posed + lids @ linear[self.lid_carrier].T + drive.translation
+
+    @property
+    def lid_carrier(self) -> int:
+        """The joint that eyelid displacements rotate with."""
+        return self.joint_index("neck") if "neck" in self.joint_names else 0
+
+    @property
+    def moving_joints(self) -> tuple[int, ...]:
+        """The joints that move the face: all but root and neck."""
+        return tuple(index for index, name in enumerate(self.joint_names) if name not in ("root", "neck"))
+
+    def _has_kernels_for(self, drive: Drive) -> bool:
+        """Whether kernels pose the head: on CUDA, where nobody asks for a gradient."""
+        tensors = (*(getattr(self, name) for name in POSED_BY), drive.expression, drive.joint_rotations)
+        tensors = (*tensors, drive.eyelids, drive.translation)
+        if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
+            return False
+        return all(tensor.is_contiguous() for tensor in tensors) and device_kernels.run_on(*tensors)
 
     def joint_transforms(self, drive: Drive) -> tuple[Float[Tensor, "J 3 3"], Float[Tensor, "J 3"]]:
         """Rotation and offset (m) of every joint: x ↦ R x + o transforms a vertex that is bound to this joint alone."""
@@ -136,8 +161,10 @@ class HeadModel:
         FLAME with 100 expressions gives the 120 numbers of metrical-tracker and FlashAvatar (docs/paper.md, A12). The
         rigid pose is not included.
         """
-        skipped = {"root", "neck"}
-        moving = tuple(index for index, name in enumerate(self.joint_names) if name not in skipped)
-        chosen = constant(moving, torch.int64, drive.joint_rotations.device)
+        if self._has_kernels_for(drive):
+            from ggavatar.head import posing_triton
+
+            return posing_triton.condition(self, drive)
+        chosen = constant(self.moving_joints, torch.int64, drive.joint_rotations.device)
         rotations = matrix_to_rotation_6d(axis_angle_to_matrix(drive.joint_rotations[chosen]))
         return torch.cat((drive.expression, rotations.flatten(), drive.eyelids))

@@ -22,10 +22,12 @@ __all__ = [
     "write_png",
 ]
 
-_PNG_FILTER_UP = (19, 32)
-"""IMWRITE_PNG_FILTER = UP: files 3 % larger than with the best filter per row, written and read a third faster.
+_PNG_FAST = (16, 1, 17, 3, 19, 32)
+"""IMWRITE_PNG_COMPRESSION = 1, _STRATEGY = RLE, _FILTER = UP: written twice as fast as with the best filter per row.
 
-OpenCV names these numbers only from 4.12 on; older versions ignore them and always use one filter.
+Measured on frames of 512 × 512 px: 6.2 to 9.8 ms each against 10.5 to 14.8, and 1 to 15 % larger.
+
+OpenCV names the filter only from 4.12 on; older versions ignore it and always use one.
 """
 
 
@@ -49,7 +51,7 @@ def write_png(path: Path, image: UInt8[np.ndarray, "H W 3"] | UInt8[np.ndarray, 
     import cv2
 
     pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else np.ascontiguousarray(image)
-    _write(path, cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1, *_PNG_FILTER_UP]))
+    _write(path, cv2.imencode(".png", pixels, _PNG_FAST))
 
 
 def write_jpeg(path: Path, image: UInt8[np.ndarray, "H W 3"], quality: int = 90) -> None:

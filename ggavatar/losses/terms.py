@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import huber_loss, l1_loss
 
+from ggavatar.jit import device_kernels
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.jit.padding import memory_of, padded
 
@@ -27,21 +28,26 @@ def huber(image: Float[Tensor, "H W C"], target: Float[Tensor, "H W C"], delta: 
 
 
 def position_regularizer(
-    local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0
+    local_means: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 1.0, weight: float = 1.0
 ) -> Float[Tensor, ""]:
-    """Mean over visible Gaussians of max(‖μ0‖ − `threshold`, 0); 0 if none is visible.
+    """`weight` times the mean over visible Gaussians of max(‖μ0‖ − `threshold`, 0); 0 if none is visible.
 
     Args:
         local_means: Positions in units of the triangle's size.
         visible: Gaussians that touch the image.
         threshold: Distance from the triangle's center up to which the cost is 0, in units of its size.
+        weight: Factor of the term in the objective.
 
     References:
         GGAvatar Eq. 14, read as in GaussianAvatars (docs/paper.md, A15, A16): the norm of local positions.
     """
     if compiled_for(local_means):
-        return cast(Tensor, _CompiledRegularizer.apply(local_means, visible, threshold, "POSITION"))
-    return position_regularizer_in_torch(local_means, visible, threshold)
+        return weight * cast(Tensor, _CompiledRegularizer.apply(local_means, visible, threshold, "POSITION"))
+    if device_kernels.run_on(local_means, visible):
+        from ggavatar.losses import regularizers_triton
+
+        return regularizers_triton.regularizer(local_means, visible, threshold, weight, regularizers_triton.POSITION)
+    return weight * position_regularizer_in_torch(local_means, visible, threshold)
 
 
 def position_regularizer_in_torch(
@@ -55,21 +61,30 @@ def position_regularizer_in_torch(
 
 
 def log_scale_regularizer(
-    local_log_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6
+    local_log_scales: Float[Tensor, "N 3"], visible: Bool[Tensor, " N"], threshold: float = 0.6, weight: float = 1.0
 ) -> Float[Tensor, ""]:
-    """Mean over visible Gaussians of ‖max(s0 − `threshold`, 0)‖ with s0 the exponentials; 0 if none is visible.
+    """`weight` times the mean over visible Gaussians of ‖max(s0 − `threshold`, 0)‖; 0 if none is visible.
+
+    s0 are the exponentials of the logarithms.
 
     Args:
         local_log_scales: Logarithms of standard deviations in units of the triangle's size.
         visible: Gaussians that touch the image.
         threshold: Standard deviation up to which the cost is 0, in units of the triangle's size.
+        weight: Factor of the term in the objective.
 
     References:
         GGAvatar Eq. 15; on local scales (docs/paper.md, A16).
     """
     if compiled_for(local_log_scales):
-        return cast(Tensor, _CompiledRegularizer.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
-    return log_scale_regularizer_in_torch(local_log_scales, visible, threshold)
+        return weight * cast(Tensor, _CompiledRegularizer.apply(local_log_scales, visible, threshold, "LOG_SCALE"))
+    if device_kernels.run_on(local_log_scales, visible):
+        from ggavatar.losses import regularizers_triton
+
+        return regularizers_triton.regularizer(
+            local_log_scales, visible, threshold, weight, regularizers_triton.LOG_SCALE
+        )
+    return weight * log_scale_regularizer_in_torch(local_log_scales, visible, threshold)
 
 
 def log_scale_regularizer_in_torch(

@@ -234,9 +234,8 @@ class GaussianAvatars(StepCounter):
         visible = rendering.radii > 0
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),
-            "position": config.position_weight
-            * position_regularizer(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
+            "position": position_regularizer(rows["means"], visible, config.position_threshold, config.position_weight),
+            "scale": log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold, config.scale_weight),
         }
         if config.perceptual_weight and step > config.perceptual_share * self.scene.steps:
             boxes = self.boxes.of(frame) if self.perceptual.crops else []

@@ -11,7 +11,7 @@ Comments number the paper's equations; docs/paper.md lists the choices where the
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -209,7 +209,7 @@ class GGAvatar(StepCounter):
         self.perceptual = PerceptualTerm(
             config.perceptual_weight, crops, scene.seed, features=config.perceptual_features
         )
-        self._cached_hidden: Tensor | None = None
+        self._reused: dict[str, Tensor] = {}
 
     @property
     def is_neutral(self) -> bool:
@@ -221,13 +221,12 @@ class GGAvatar(StepCounter):
     def gaussians(self, drive: Drive) -> Gaussians:
         """The avatar posed by `drive`, in world space (Eq. 4–12)."""
         means, quats, scales = self._bound(self._local_frames(drive))
+        opacities = self._once("opacities", lambda: self.rows["opacity_logits"].sigmoid())
+        offsets = None
         if self.adjuster is not None and not self.is_neutral:
             offsets = self._offsets(self._condition(drive))  # Eq. 9–11, W never built
             means, quats, scales = refine(means, quats, scales, offsets, self.config.offset_unit)  # Eq. 12
-            colors = self._colors(offsets)
-        else:
-            colors = self._colors(None)
-        return Gaussians(means, quats, scales, self.rows["opacity_logits"].sigmoid(), colors, self._sh_degree())
+        return Gaussians(means, quats, scales, opacities, self._colors(offsets), self._sh_degree())
 
     def losses(self, frame: Frame, rendering: Rendering, step: int) -> Mapping[str, Tensor]:
         """The weighted terms of Eq. 13–16, and coverage if configured."""
@@ -235,9 +234,8 @@ class GGAvatar(StepCounter):
         visible = rendering.radii > 0
         terms = {
             **image_terms(rendering.image, frame.image, config.dssim_share)._asdict(),  # Eq. 13
-            "position": config.position_weight
-            * position_regularizer(rows["means"], visible, config.position_threshold),
-            "scale": config.scale_weight * log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold),
+            "position": position_regularizer(rows["means"], visible, config.position_threshold, config.position_weight),
+            "scale": log_scale_regularizer(rows["log_scales"], visible, config.scale_threshold, config.scale_weight),
         }
         if config.alpha_weight:
             terms["alpha"] = config.alpha_weight * l1(rendering.alpha, frame.alpha)
@@ -266,7 +264,7 @@ class GGAvatar(StepCounter):
 
     def train(self, mode: bool = True) -> GGAvatar:
         """Switch between training and evaluation, which caches what does not depend on the drive."""
-        self._cached_hidden = None
+        self._reused = {}
         return super().train(mode)
 
     def notes(self) -> dict[str, str]:
@@ -325,12 +323,12 @@ class GGAvatar(StepCounter):
 
     def _offsets(self, condition: Float[Tensor, " C"]) -> Offsets:
         """W(x)·f(ψ, θ) at the neutral positions x (Eq. 9–11); evaluation caches what depends on x only."""
-        assert self.adjuster is not None
+        adjuster = self.adjuster
+        assert adjuster is not None
         if self.training or torch.is_grad_enabled():
-            return self.adjuster(self._neutral_positions(), condition)
-        if self._cached_hidden is None:
-            self._cached_hidden = self.adjuster.cache(self._neutral_positions())
-        return self.adjuster.offsets(self._cached_hidden, self.adjuster.latent(condition))
+            return adjuster(self._neutral_positions(), condition)
+        hidden = self._once("hidden", lambda: adjuster.cache(self._neutral_positions()))
+        return adjuster.offsets(hidden, adjuster.latent(condition))
 
     @torch.no_grad()
     def _neutral_positions(self) -> Float[Tensor, "N 3"]:
@@ -340,8 +338,16 @@ class GGAvatar(StepCounter):
     def _colors(self, offsets: Offsets | None) -> Float[Tensor, "N K 3"]:
         """Spherical harmonics; with color rows, the constant one depends on the condition."""
         if offsets is None or offsets.colors is None:
-            return harmonics(self.rows)
+            return self._once("harmonics", lambda: harmonics(self.rows))
         return harmonics(self.rows, self.rows["sh"] + (self.config.color_unit / SH_C0) * offsets.colors[:, None])
+
+    def _once(self, name: str, make: Callable[[], Tensor]) -> Tensor:
+        """What training computes in every step, and evaluation once for all frames."""
+        if self.training or torch.is_grad_enabled():
+            return make()
+        if name not in self._reused:
+            self._reused[name] = make()
+        return self._reused[name]
 
     def _sh_degree(self) -> int:
         """Degree of the spherical harmonics in use."""

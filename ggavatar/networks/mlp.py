@@ -9,10 +9,11 @@ import torch
 from jaxtyping import Float, Float32, Int64
 from numpy import ndarray
 from torch import Tensor
-from torch.nn.functional import linear, relu
+from torch.nn.functional import linear
 
 from ggavatar.jit.dispatch import compiled_for
 from ggavatar.networks.fields import Field, HashTriplane, kernel_layout, kernel_points
+from ggavatar.networks.linear_relu import linear_relu
 
 Layer = tuple[Tensor, Tensor]
 """Weight [outputs, inputs] and bias of a linear layer."""
@@ -39,7 +40,7 @@ def perceptron_in_torch(
     features: Float[Tensor, "N D"], first: Layer, second: Layer, last: Layer
 ) -> Float[Tensor, "N R"]:
     """`perceptron` in plain torch: any dtype and device."""
-    return linear(relu(linear(relu(linear(features, *first)), *second)), *last)
+    return linear(linear_relu(linear_relu(features, *first), *second), *last)
 
 
 class _Perceptron(torch.autograd.Function):

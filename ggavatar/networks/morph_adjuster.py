@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import relu
 
 from ggavatar.gaussians.offsets import GEOMETRY_ROWS, Offsets
 from ggavatar.networks.fields import Field
 from ggavatar.networks.linear import seeded_linear
+from ggavatar.networks.linear_relu import layer_relu
 from ggavatar.networks.mlp import field_perceptron
 
 
@@ -78,7 +78,8 @@ class BasisAdjuster(nn.Module):
 
     def latent(self, condition: Float[Tensor, "*B C"]) -> Float[Tensor, "*B L"]:
         """The latent vector f (Eq. 10)."""
-        return self.latent_network(condition)
+        first, second, last = (layer for layer in self.latent_network if isinstance(layer, nn.Linear))
+        return last(layer_relu(second, layer_relu(first, condition)))
 
     def latent_layers(self) -> tuple[tuple[Tensor, Tensor], ...]:
         """Weight and bias of every layer of the latent network; ReLU lies between them."""
@@ -90,7 +91,7 @@ class BasisAdjuster(nn.Module):
 
     def hidden(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
         """The last hidden layer h of the basis network; independent of the condition."""
-        return relu(self.second(relu(self.first(self.field(x)))))
+        return layer_relu(self.second, layer_relu(self.first, self.field(x)))
 
     @torch.no_grad()
     def cache(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N H"]:
@@ -100,11 +101,16 @@ class BasisAdjuster(nn.Module):
     def offsets(self, hidden: Float[Tensor, "N H"], latent: Float[Tensor, "*B L"]) -> Offsets:
         """The product W·f (Eq. 11) from hidden features and a latent vector."""
         weight, bias = self._contracted(latent)
+        if latent.ndim == 1:
+            return Offsets(torch.addmm(bias, hidden, weight.t()))
         return Offsets(hidden @ weight.transpose(-1, -2) + bias[..., None, :])
 
     def _contracted(self, latent: Float[Tensor, "*B L"]) -> tuple[Float[Tensor, "*B R H"], Float[Tensor, "*B R"]]:
         """A and c contracted with f."""
-        return torch.tensordot(latent, self.last_weight, dims=([-1], [1])), latent @ self.last_bias.T
+        bias = latent @ self.last_bias.T
+        if latent.ndim == 1:  # without the copy of the weights that tensordot makes
+            return torch.bmm(latent.expand(len(bias), 1, -1), self.last_weight).squeeze(1), bias
+        return torch.tensordot(latent, self.last_weight, dims=([-1], [1])), bias
 
     def basis(self, x: Float[Tensor, "N 3"]) -> Float[Tensor, "N R L"]:
         """W itself (Eq. 9), for export and tests; N × rows × L numbers."""

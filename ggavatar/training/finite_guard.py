@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from ggavatar.optim.fused_adam import fused_adam_step
+
 CAUSES = (
     "Common causes: tracking that puts the head behind the camera or far away (run ggavatar-doctor on the capture), a "
     "learning rate that is too high, an empty mask. Earlier checkpoints are intact."
@@ -74,6 +76,7 @@ class DeviceGuard:
     def __init__(self, limit: int, device: torch.device) -> None:
         self.limit = limit
         self.counts = torch.zeros(2, device=device)
+        self._is_bad = torch.zeros(2, device=device)
 
     @torch.no_grad()
     def mark(self, loss: Tensor, avatar: nn.Module) -> Tensor:
@@ -83,9 +86,11 @@ class DeviceGuard:
             A number on the device: 1 if the step must change nothing, else 0.
         """
         gradients = [_values(parameter.grad) for parameter in avatar.parameters() if parameter.grad is not None]
-        is_bad = torch.stack((loss.detach(), nn.utils.get_total_norm(gradients))).isfinite().logical_not()
-        self.counts += is_bad
-        return is_bad.any().float()
+        norms = torch.stack(torch._foreach_norm(gradients)).sum() if gradients else torch.zeros_like(loss)
+        values = torch.stack((loss.detach(), norms))
+        torch.ne(values - values, 0, out=self._is_bad)  # what is not finite less itself is NaN
+        self.counts += self._is_bad
+        return self._is_bad.amax()
 
     def check(self, step: int, counts: Sequence[float]) -> None:
         """Look at the values of `counts`, which the caller has read.
@@ -106,6 +111,8 @@ def step_unless(is_bad: Tensor, optimizer: torch.optim.Optimizer) -> None:
 
     Optimizers that cannot leave out a step (fused ones can, for mixed precision) take it with gradients of zero.
     """
+    if fused_adam_step(optimizer, is_bad):
+        return
     if getattr(optimizer, "_step_supports_amp_scaling", False):
         optimizer.found_inf = is_bad  # type: ignore[attr-defined]  # as torch.amp.GradScaler does
         try:

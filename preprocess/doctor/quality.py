@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from ggavatar.data.capture import Capture, Tracking
 from ggavatar.head.model import HeadModel
 from ggavatar.io.ordered_map import ordered_map
-from preprocess.evidence.survey import MAX_REPEAT_DIFFERENCE
+from preprocess.evidence.pictures import MAX_REPEAT_DIFFERENCE
 from preprocess.tracking.geometry.projection import posed_vertices, project
 from preprocess.tracking.pose.bundle_adjustment import PRIOR_DISTANCE
 

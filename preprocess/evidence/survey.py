@@ -1,4 +1,4 @@
-"""One pass over a clip's images: thumbnails, faces and repeats, from which frames without evidence are told."""
+"""Where a clip shows a face, and what its pictures are, from which frames without evidence are told."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
 
 from ggavatar.io.npz import read_npz, write_npz
-from ggavatar.io.ordered_map import ordered_map
 from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
-from preprocess.evidence.blank import blank_frames, faded_frames, thumbnail
+from preprocess.evidence.blank import blank_frames, faded_frames
 from preprocess.evidence.clip_faces import ClipFaces, stack_faces
-from preprocess.evidence.cuts import LARGE_CHANGE
+from preprocess.evidence.cuts import LARGE_CHANGE, changes
+from preprocess.evidence.pictures import Pictures
 
 BLACK, BLANK, FADED, NO_FACE, REPEATED = "black", "blank", "faded in or out", "no face", "repeats the frame before"
 OTHER_PART = "another part of the clip"
@@ -27,8 +26,6 @@ SPARSE_STEP = 8
 """Where another tracker has found the face, it is looked for in every so many frames, and around those without one."""
 MIN_FOUND = 0.5
 """Fraction of the frames looked at that must show a face before one without is dropped: some are never recognized."""
-MAX_REPEAT_DIFFERENCE = 0.15
-"""Mean difference of neighboring frames, in 8-bit levels, below which the second counts as a repeat."""
 
 
 @dataclass(frozen=True)
@@ -36,22 +33,29 @@ class Survey:
     """What the frames of a clip show.
 
     Attributes:
-        thumbnails: 32 × 32 px.
+        pictures: Thumbnails and repeats.
         faces: Landmarks.
         looked: Frames in which the face was looked for; the others lie between two that show one.
-        repeated: Frames that repeat the one before.
     """
 
-    thumbnails: UInt8[np.ndarray, "T 32 32 3"]
+    pictures: Pictures
     faces: ClipFaces
     looked: Bool[np.ndarray, " T"]
-    repeated: Bool[np.ndarray, " T"]
 
-    def write(self, path: Path) -> None:
-        """Store as npz."""
+    def write_faces(self, path: Path) -> None:
+        """Store the faces and where they were looked for, as npz; the pictures have a file of their own."""
         faces = {"points": self.faces.points, "depth": self.faces.depth, "blendshapes": self.faces.blendshapes}
-        rest = {"thumbnails": self.thumbnails, "looked": self.looked, "repeated": self.repeated}
-        write_npz(path, faces | rest)
+        write_npz(path, faces | {"looked": self.looked})
+
+    @property
+    def thumbnails(self) -> UInt8[np.ndarray, "T 32 32 3"]:
+        """All frames at 32 × 32 px."""
+        return self.pictures.thumbnails
+
+    @property
+    def repeated(self) -> Bool[np.ndarray, " T"]:
+        """Frames that repeat the one before."""
+        return self.pictures.repeated
 
     @cached_property
     def blank(self) -> Bool[np.ndarray, " T"]:
@@ -89,61 +93,49 @@ class Survey:
         return {int(row): REPEATED for row in np.flatnonzero(self.repeated)}
 
 
-def read_survey(path: Path) -> Survey:
-    """What `Survey.write` stored; `InputError` if it is damaged."""
-    found = read_npz(path, ("points", "depth", "blendshapes", "thumbnails", "looked", "repeated"))
-    faces = ClipFaces(found["points"], found["depth"], found["blendshapes"])
-    return Survey(found["thumbnails"], faces, found["looked"], found["repeated"])
+def read_survey(pictures: Pictures, path: Path) -> Survey:
+    """What `Survey.write_faces` stored; `InputError` if it is damaged."""
+    found = read_npz(path, ("points", "depth", "blendshapes", "looked"))
+    return Survey(pictures, ClipFaces(found["points"], found["depth"], found["blendshapes"]), found["looked"])
 
 
 def survey(
-    images: Iterable[np.ndarray], read: Callable[[int], np.ndarray], tracker: LandmarkTracker | None, every_frame: bool
+    pictures: Pictures,
+    read: Callable[[Sequence[int]], Iterable[np.ndarray]],
+    tracker: LandmarkTracker | None,
+    every_frame: bool,
 ) -> Survey:
-    """Look at every frame of a clip.
+    """Look for the face in the frames of a clip.
 
     Args:
-        images: The frames in order.
-        read: Reads a frame again, for the second look that a search in only some of them needs.
+        pictures: What is known of every frame.
+        read: Reads the images of some frames, in their order.
         tracker: The landmark networks; None looks for no faces.
-        every_frame: Whether the face is looked for in every frame, else in every `SPARSE_STEP`-th.
+        every_frame: Whether the face is looked for in every frame, else in every `SPARSE_STEP`-th and, where one of
+            two neighbors shows none, in all between them.
     """
-    thumbnails: list[np.ndarray] = []
-    faces: list[Landmarks | None] = []
-    looked: list[bool] = []
-    repeated: list[bool] = []
-    before: np.ndarray | None = None
-    for row, (image, small, gray) in enumerate(ordered_map(_reduced, images)):
-        look = tracker is not None and (every_frame or row % SPARSE_STEP == 0)
-        if tracker is not None and row and _change(small, thumbnails[-1]) > LARGE_CHANGE:
-            tracker.reset()
-        faces.append(tracker.landmarks(image) if look and tracker is not None and not _is_blank(small) else None)
-        thumbnails.append(small)
-        looked.append(look)
-        repeated.append(before is not None and float(cv2.absdiff(gray, before).mean()) < MAX_REPEAT_DIFFERENCE)
-        before = gray
-    if tracker is not None and not every_frame:
-        _look_around_gaps(faces, looked, thumbnails, read, tracker)
-    return Survey(np.stack(thumbnails), stack_faces(faces), np.array(looked), np.array(repeated))
-
-
-def _reduced(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The image, its thumbnail, and it in gray."""
-    return image, thumbnail(image), cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-
-
-def _change(small: np.ndarray, before: np.ndarray) -> float:
-    return float(np.abs(small.astype(np.int16) - before).mean())
-
-
-def _is_blank(small: np.ndarray) -> bool:
-    return bool(blank_frames(small[None])[0])
+    count = len(pictures.thumbnails)
+    faces: list[Landmarks | None] = [None] * count
+    looked = [False] * count
+    if tracker is not None:
+        blank, cut = blank_frames(pictures.thumbnails), changes(pictures.thumbnails) > LARGE_CHANGE
+        rows = range(0, count, 1 if every_frame else SPARSE_STEP)
+        before = 0
+        for row, image in zip(rows, read(rows), strict=True):
+            if cut[before + 1 : row + 1].any():
+                tracker.reset()
+            before, looked[row] = row, True
+            faces[row] = None if blank[row] else tracker.landmarks(image)
+        if not every_frame:
+            _look_around_gaps(faces, looked, blank, read, tracker)
+    return Survey(pictures, stack_faces(faces), np.array(looked, bool))
 
 
 def _look_around_gaps(
     faces: list[Landmarks | None],
     looked: list[bool],
-    thumbnails: Sequence[np.ndarray],
-    read: Callable[[int], np.ndarray],
+    blank: Bool[np.ndarray, " T"],
+    read: Callable[[Sequence[int]], Iterable[np.ndarray]],
     tracker: LandmarkTracker,
 ) -> None:
     """Look at all frames between one with and one without a face; between two without, all are without."""
@@ -157,7 +149,8 @@ def _look_around_gaps(
             continue
         search = faces[first] is not None or faces[last] is not None
         tracker.reset()
-        for row in range(first + 1, second):
-            looked[row] = True
-            if search and not _is_blank(thumbnails[row]):
-                faces[row] = tracker.landmarks(read(row))
+        between = range(first + 1, second)
+        looked[first + 1 : second] = [True] * len(between)
+        seen = [row for row in between if search and not blank[row]]
+        for row, image in zip(seen, read(seen), strict=True):
+            faces[row] = tracker.landmarks(image)

@@ -10,16 +10,18 @@ import numpy as np
 
 from ggavatar.errors import InputError
 from ggavatar.io.held_folders import make_folder
-from ggavatar.io.images import write_png
+from ggavatar.io.images import read_rgb, write_png
 from ggavatar.io.ordered_map import ordered_map
+from preprocess.evidence.pictures import Pictures, ReducedImage, join_pictures, read_pictures, reduce_image
 from preprocess.formats.registry import SWAPPED_SIZE
 from preprocess.formats.tracking_record import TrackingRecord
 from preprocess.options import PrepOptions
 from preprocess.pipeline.read_stage import open_input, selection_of
-from preprocess.pipeline.stage import Stage, StageContext, file_state
+from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
 from preprocess.video.crop import Crop, explicit_crop, parse_rectangle, square_crop, square_crop_around, whole_frame
 from preprocess.video.frame import DecodedFrame
 
+PICTURES = f"{RECORDS}/pictures.npz"
 HEAD_POINTS = np.array([[x, y, z] for x in (-0.09, 0.09) for y in (-0.12, 0.14) for z in (-0.12, 0.08)])
 """Corners of a box around an adult's head in FLAME's coordinates, m."""
 
@@ -43,7 +45,9 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Decode again, crop, resample and write `images/%06d.png`; files of an interrupted run are kept.
+    """Decode again, crop, resample and write `images/%06d.png`, and note what tells their pictures apart.
+
+    Files of an interrupted run are kept.
 
     Raises:
         InputError: No crop can be chosen, or the source has changed since it was read.
@@ -54,14 +58,20 @@ def run(context: StageContext) -> Mapping[str, Any]:
     make_folder(folder)
     numbers = list(source["numbers"])
     wanted = selection_of(options).keep(open_input(options).frames())
-    done = 0
-    for done, _ in enumerate(ordered_map(lambda each: _write(crop, *each), _missing(folder, wanted)), start=1):
-        context.reporter.advance(done, len(numbers))
-    if done != len(numbers):
+
+    def reduced() -> Iterator[ReducedImage]:
+        images = ordered_map(lambda each: _write(crop, *each), _missing(folder, wanted))
+        for done, image in enumerate(images, start=1):
+            context.reporter.advance(done, len(numbers))
+            yield image
+
+    pictures = join_pictures(reduced())
+    if (done := len(pictures.repeated)) != len(numbers):
         raise InputError(
             f"{options.input}: expected {len(numbers)} frames as before, found {done}; the file has changed while it "
             "was read, start again with --overwrite"
         )
+    pictures.write(context.folder / PICTURES)
     return {"crop": crop.json()}
 
 
@@ -72,9 +82,17 @@ def _missing(folder: Path, frames: Iterator[DecodedFrame]) -> Iterator[tuple[Pat
         yield path, None if path.exists() else frame.image
 
 
-def _write(crop: Crop, path: Path, source: np.ndarray | None) -> None:
-    if source is not None:
-        write_png(path, crop.image(source))
+def _write(crop: Crop, path: Path, source: np.ndarray | None) -> ReducedImage:
+    if source is None:
+        return reduce_image(read_rgb(path))
+    image = crop.image(source)
+    write_png(path, image)
+    return reduce_image(image)
+
+
+def pictures_of(context: StageContext) -> Pictures:
+    """What this stage has noted of the images."""
+    return read_pictures(context.folder / PICTURES)
 
 
 def choose_crop(context: StageContext) -> Crop:
@@ -147,4 +165,4 @@ def _crop_for_tracking(record: TrackingRecord, width: int, height: int, size: in
     return square_crop_around(boxes, width, height, size)
 
 
-STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images",), version=3)
+STAGE = Stage("crop", "Cropping and resampling", inputs, run, outputs=("images", PICTURES), version=4)

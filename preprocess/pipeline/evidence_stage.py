@@ -13,9 +13,9 @@ from preprocess.evidence.blank import runs
 from preprocess.evidence.cuts import find_cuts
 from preprocess.evidence.parts import choose_part, find_parts, parse_cut
 from preprocess.evidence.repeats import rate_without_repeats
-from preprocess.evidence.survey import OTHER_PART, REPEATED, Survey, read_survey
+from preprocess.evidence.survey import OTHER_PART, REPEATED, Survey
 from preprocess.options import PrepOptions
-from preprocess.pipeline.face_stage import SURVEY
+from preprocess.pipeline.face_stage import survey_of
 from preprocess.pipeline.read_stage import MINIMUM_FRAMES
 from preprocess.pipeline.stage import Stage, StageContext
 
@@ -41,7 +41,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
         GateError: Frames are dropped, with `--strict`.
     """
     options, numbers = context.options, list(context.results["frames"]["numbers"])
-    found, fps = read_survey(context.folder / SURVEY), float(context.results["frames"]["fps"])
+    found, fps = survey_of(context), float(context.results["frames"]["fps"])
     dropped = {} if options.keep_faceless else found.reasons()
     if options.drop_repeated:
         dropped = {**found.repeats(), **dropped}
@@ -61,7 +61,7 @@ def run(context: StageContext) -> Mapping[str, Any]:
 
 def faces_by_frame(context: StageContext) -> dict[int, np.ndarray]:
     """Landmarks by frame number, px; empty if the networks find the face in too few frames to rely on them."""
-    found, numbers = read_survey(context.folder / SURVEY), context.results["frames"]["numbers"]
+    found, numbers = survey_of(context), context.results["frames"]["numbers"]
     if not found.faces_are_reliable:
         return {}
     return {int(numbers[row]): found.faces.points[row] for row in np.flatnonzero(found.faces.found)}

@@ -1,8 +1,8 @@
-"""Third stage: looks at every image once, for the face, for blank pictures and for repeats."""
+"""Third stage: looks for the face in the images; in only some of them if another tracker has found it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,13 @@ from ggavatar.io.images import read_rgb
 from ggavatar.io.ordered_map import ordered_map
 from ggavatar.landmarks.tracker import LandmarkTracker
 from preprocess.evidence.faces import local_landmark_tracker, open_landmark_tracker
-from preprocess.evidence.survey import survey
+from preprocess.evidence.survey import Survey, read_survey, survey
 from preprocess.options import PrepOptions
+from preprocess.pipeline.crop_stage import pictures_of
 from preprocess.pipeline.stage import RECORDS, Stage, StageContext
 from preprocess.video.crop import crop_from_json
 
-SURVEY = f"{RECORDS}/survey.npz"
+FACES = f"{RECORDS}/faces.npz"
 
 
 def inputs(options: PrepOptions) -> Mapping[str, Any]:
@@ -25,7 +26,7 @@ def inputs(options: PrepOptions) -> Mapping[str, Any]:
 
 
 def run(context: StageContext) -> Mapping[str, Any]:
-    """Write what the images show, one row per frame.
+    """Write the faces, one row per frame.
 
     The face is looked for in only some frames of a clip with imported tracking, and only if the networks are on this
     machine.
@@ -39,14 +40,19 @@ def run(context: StageContext) -> Mapping[str, Any]:
         tracker.follow(_followed_place(context))
     paths = [context.folder / "images" / f"{number:06d}.png" for number in context.results["frames"]["numbers"]]
 
-    def images() -> Iterator[np.ndarray]:
-        for done, image in enumerate(ordered_map(read_rgb, paths), start=1):
-            context.reporter.advance(done, len(paths))
+    def read(rows: Sequence[int]) -> Iterable[np.ndarray]:
+        for row, image in zip(rows, ordered_map(read_rgb, (paths[row] for row in rows)), strict=True):
+            context.reporter.advance(row + 1, len(paths))
             yield image
 
-    found = survey(images(), lambda row: read_rgb(paths[row]), tracker, every_frame=needed)
-    found.write(context.folder / SURVEY)
+    found = survey(pictures_of(context), read, tracker, every_frame=needed)
+    found.write_faces(context.folder / FACES)
     return {"looked_for": int(found.looked.sum()), "found": int(found.faces.found.sum())}
+
+
+def survey_of(context: StageContext) -> Survey:
+    """What the crop and the face stage have found."""
+    return read_survey(pictures_of(context), context.folder / FACES)
 
 
 def _followed_place(context: StageContext) -> tuple[float, float] | None:
@@ -61,4 +67,4 @@ def _followed_place(context: StageContext) -> tuple[float, float] | None:
     return float(place[0]), float(place[1])
 
 
-STAGE = Stage("faces", "Finding the face", inputs, run, outputs=(SURVEY,))
+STAGE = Stage("faces", "Finding the face", inputs, run, outputs=(FACES,), version=2)

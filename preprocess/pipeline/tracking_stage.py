@@ -18,11 +18,10 @@ from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.npz import write_npz
 from preprocess.doctor.conventions import apply_fixes
 from preprocess.doctor.frame_offset import find_offset
-from preprocess.evidence.survey import read_survey
 from preprocess.formats.registry import SWAPPED_SIZE
 from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.options import PrepOptions, TrackingOptions
-from preprocess.pipeline.face_stage import SURVEY
+from preprocess.pipeline.face_stage import survey_of
 from preprocess.pipeline.mask_stage import NO_MASK
 from preprocess.pipeline.stage import RECORDS, Stage, StageContext, file_state
 from preprocess.tracking.geometry.projection import one_torch_thread
@@ -80,7 +79,7 @@ def _tracked(context: StageContext, masked: list[int]) -> tuple[list[int], Track
     images = ImagesOnDisk(context, "images", numbers, read_rgb)
     masks = ImagesOnDisk(context, "masks", numbers, read_gray)
     row_of = {number: row for row, number in enumerate(results["frames"]["numbers"])}
-    faces = read_survey(context.folder / SURVEY).faces.rows([row_of[number] for number in numbers])
+    faces = survey_of(context).faces.rows([row_of[number] for number in numbers])
     source, crop = context.results["frames"], crop_from_json(dict(context.results["crop"]["crop"]))
     centered = np.array([[1.0, 0.0, source["width"] / 2], [0.0, 1.0, source["height"] / 2], [0.0, 0.0, 1.0]])
     center = crop.intrinsics(centered)[:2, 2]

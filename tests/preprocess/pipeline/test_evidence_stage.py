@@ -1,7 +1,7 @@
 """Which frames become a capture, on the synthetic subject: blank, faded, repeated frames, other persons.
 
-Reference: what was put into the video. Also covers `preprocess/evidence/faces.py`, `preprocess/evidence/survey.py`,
-`preprocess/pipeline/face_stage.py`.
+Reference: what was put into the video. Also covers `preprocess/evidence/faces.py`, `preprocess/evidence/pictures.py`,
+`preprocess/evidence/survey.py`, `preprocess/pipeline/face_stage.py`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from ggavatar.io.images import image_header, read_rgb, write_png
 from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
 from preprocess.cli.prep import main
 from preprocess.evidence.clip_faces import ClipFaces
+from preprocess.evidence.pictures import Pictures, join_pictures, reduce_image
 from preprocess.evidence.survey import Survey, survey
 from preprocess.options import PrepOptions
 from preprocess.pipeline import evidence_stage
-from preprocess.pipeline.face_stage import SURVEY
+from preprocess.pipeline.crop_stage import PICTURES
+from preprocess.pipeline.face_stage import FACES
 from preprocess.pipeline.stage import StageContext
 from tests.preprocess.evidence.test_identity import clip_of
 from tests.support.synthetic_clip import draw
@@ -134,7 +136,8 @@ class Notes:
 def choose(folder, found, **options):
     """Run the stage on a made-up survey."""
     (folder / ".prep").mkdir(exist_ok=True)
-    found.write(folder / SURVEY)
+    found.pictures.write(folder / PICTURES)
+    found.write_faces(folder / FACES)
     numbers, reporter = list(range(100, 100 + len(found.looked))), Notes()
     results = {"frames": {"numbers": numbers, "fps": 25.0}}
     options_ = PrepOptions(Path("v.mp4"), folder, **options)
@@ -145,7 +148,7 @@ def choose(folder, found, **options):
 def made_up(*stretches):
     thumbnails, faces, missing = clip_of(*stretches)
     textured = thumbnails + np.random.default_rng(0).integers(0, 60, thumbnails.shape[1:], dtype=np.uint8)
-    return Survey(textured, faces, np.ones(len(missing), bool), np.zeros(len(missing), bool))
+    return Survey(Pictures(textured, np.zeros(len(missing), bool)), faces, np.ones(len(missing), bool))
 
 
 def test_another_person_is_refused_and_the_advice_keeps_one(tmp_path):
@@ -201,19 +204,36 @@ def test_a_search_in_some_frames_finds_every_long_gap():
     """Frames 20 to 39 show no face: found by looking at every eighth and around those without one."""
     images = np.repeat(np.random.default_rng(0).integers(0, 255, (1, 32, 32, 3), dtype=np.uint8), 80, axis=0)
     images[:, 0, 0, 0] = [210 if 20 <= row < 40 else row for row in range(80)]
-    eyes = Sighted()
-    found = survey(images, lambda row: images[row], eyes, every_frame=False)
+    eyes, opened = Sighted(), []
+
+    def looked_at(tracker, every_frame):
+        def read(rows):
+            opened.extend(rows)
+            return images[list(rows)]
+
+        return survey(join_pictures(map(reduce_image, images)), read, tracker, every_frame)
+
+    found = looked_at(eyes, False)
     assert [row for row, reason in found.reasons().items() if reason == "no face"] == list(range(20, 40))
-    assert len(eyes.asked) < 40
-    everywhere = survey(images, lambda row: images[row], Sighted(), every_frame=True)
-    assert everywhere.reasons() == found.reasons()
-    assert survey(images, lambda row: images[row], None, every_frame=False).reasons() == {}
+    assert len(eyes.asked) == len(opened) < 40, "the other images are not even read"
+    assert looked_at(Sighted(), True).reasons() == found.reasons()
+    assert looked_at(None, False).reasons() == {}
     images[:60, 0, 0, 0] = 210
-    assert not survey(images, lambda row: images[row], Sighted(), every_frame=False).faces_are_reliable
+    assert not looked_at(Sighted(), False).faces_are_reliable
+
+
+def test_the_network_forgets_the_face_at_a_cut_between_two_looks():
+    """The picture changes by 50 levels at frame 11, where nobody looks; the next look, at 16, begins anew."""
+    images = np.repeat(np.random.default_rng(0).integers(0, 190, (1, 32, 32, 3), dtype=np.uint8), 40, axis=0)
+    images[11:, :, :, :] += 50
+    images[:, 0, 0] = 0
+    eyes = Sighted()
+    survey(join_pictures(map(reduce_image, images)), lambda rows: images[list(rows)], eyes, every_frame=False)
+    assert len(eyes.asked) == 5 and eyes.resets == 1
 
 
 def test_faces_that_are_hardly_ever_found_are_no_evidence():
     faces = ClipFaces(np.full((20, 478, 2), np.nan), np.full((20, 478), np.nan), np.zeros((20, 52)))
     thumbnails = np.random.default_rng(0).integers(0, 255, (20, 32, 32, 3), dtype=np.uint8)
-    found = Survey(thumbnails, faces, np.ones(20, bool), np.zeros(20, bool))
+    found = Survey(Pictures(thumbnails, np.zeros(20, bool)), faces, np.ones(20, bool))
     assert not found.faces_are_reliable and found.reasons() == {}

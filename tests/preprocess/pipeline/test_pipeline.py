@@ -160,6 +160,8 @@ def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
             Capture.open(folder)
         assert run(clip, folder, *flags) == 0
         assert Capture.open(folder).digest() == Capture.open(whole).digest()
+        noted = [(each / crop_stage.PICTURES).read_bytes() for each in (folder, whole)]
+        assert noted[0] == noted[1], "images that were there already count as well"
     assert pipeline.STAGES[0].name == "frames"
 
 
