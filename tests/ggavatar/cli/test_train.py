@@ -46,7 +46,7 @@ def test_help_lists_methods_and_starts_without_torch() -> None:
         (["{capture}", "-o", "{out}", "--device", "tpu"], "--device"),
         (["{capture}", "-o", "{out}", "--background", "2,0,0"], "--background"),
         (["{capture}", "-o", "{out}", "--split", "some"], "split"),
-        (["{capture}", "-o", "{out}", "--backend", "vulkan"], "raster"),
+        (["{capture}", "-o", "{out}", "--backend", "vulkan"], "expected one of auto, cpu"),
         (["{capture}", "-o", "{out}", "--resume", "--overwrite"], "mutually exclusive"),
         (["{capture}", "-o", "{file}"], "found a file"),
         (["{capture}", "-o", "{out}", "--sede", "1"], "--seed"),
