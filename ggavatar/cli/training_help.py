@@ -31,4 +31,4 @@ def method_lines() -> list[str]:
         else:
             method = name
             lines.append(f"  {name:<22}{text}")
-    return [*lines, *(f"  note: {text}" for text in registry.problems().values())]
+    return [*lines, *(f"note: {text}" for text in registry.problems().values())]
