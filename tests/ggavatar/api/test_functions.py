@@ -69,7 +69,7 @@ def test_a_run_is_resumed_and_reopened(run: Run, toy_capture: Capture) -> None:
         ("train", "stepz", "steps"),
         ("drive", "pos", "pose"),
         ("export", "frame", "frames"),
-        ("score_run", "metric", "m"),
+        ("score_run", "metric", "metrics"),
     ],
 )
 def test_unknown_options_are_type_errors(call: str, name: str, meant: str, run: Run) -> None:
@@ -128,7 +128,7 @@ def test_an_avatar_repeats_its_own_performance(run: Run, tmp_path: Path) -> None
     assert performance.frames == run.capture.frames and "24 frames at 25 fps" in repr(performance)
     images = ggavatar.render_performance(run, performance, slice(0, 8, 4))
     np.testing.assert_allclose(images, ggavatar.render_frames(run, run.capture.frames[:8:4]), atol=1)
-    assert ggavatar.write_video(tmp_path / "v.mp4", images, 10).stat().st_size > 500
+    assert ggavatar.write_video(tmp_path / "v.mp4", images, 10.0).stat().st_size > 500
 
 
 def test_curves_are_a_recording_that_every_command_opens(run: Run, tmp_path: Path) -> None:
