@@ -62,7 +62,7 @@ def writer(way: str) -> Task:
 
 
 def wrong_of(row: Row, bench: Bench, count: int) -> list[str]:
-    outcomes = run_row(row, row.cases(count, 0), bench, 2, lambda outcome: None)
+    outcomes = run_row(row, row.cases(count, 0), bench, lambda outcome: None)
     assert len(outcomes) == count
     return [text for outcome in outcomes for text in outcome.wrong]
 
