@@ -198,6 +198,7 @@ def _environment(changes: Mapping[str, str | None]) -> dict[str, str]:
         "OMP_NUM_THREADS": "1",
         "NUMBA_NUM_THREADS": "1",
         "GGAVATAR_OFFLINE": "1",
+        "PYTHONDONTWRITEBYTECODE": None,
         **changes,
     }
     return {name: value for name, value in merged.items() if value is not None}

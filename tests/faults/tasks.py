@@ -129,6 +129,8 @@ EXPORTS = (
     _export("gaussian-avatars", "bound"),
     _export_capture("vhap"),
     _export_capture("flash-avatar"),
+    _export("avatar", "face.ggavatar"),
+    _export("web", "face.html"),
 )
 DOCTOR = Task("doctor", "doctor", lambda bench: (capture(bench),), nothing, "")
 MODELS = Task("models", "models", lambda bench: (), nothing, "")
