@@ -49,11 +49,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def cases_of(row: Row, wanted: argparse.Namespace) -> list[Case]:
-    """The cases of a row that the arguments ask for."""
+    """The cases of a row for the number and the seed that the arguments ask for."""
     count = wanted.count if wanted.count is not None else row.sample if wanted.sample else row.count
     seed = wanted.seed if wanted.seed is not None else datetime.date.today().toordinal() if wanted.sample else 0
-    cases = row.cases(count, seed) if count else ()
-    return [case for case in cases if wanted.case is None or case.seed in wanted.case]
+    return list(row.cases(count, seed) if count else ())
 
 
 def show(outcome: Outcome) -> None:
@@ -70,15 +69,20 @@ def main(arguments: Sequence[str] | None = None, rows: Sequence[Row] = ROWS) -> 
         known = ", ".join(row.name for row in rows)
         say(f"expected names of rows, found none for {' '.join(wanted.row)}; known are {known}")
         return 2
+    cases = {row.name: cases_of(row, wanted) for row in chosen}
+    asked = {
+        name: [case for case in found if wanted.case is None or case.seed in wanted.case]
+        for name, found in cases.items()
+    }
     if wanted.list:
-        say("\n".join(case.title for row in chosen for case in cases_of(row, wanted)))
+        say("\n".join(case.title for found in asked.values() for case in found))
         return 0
     with tempfile.TemporaryDirectory(prefix="ggavatar-faults-", ignore_cleanup_errors=True) as folder:
         bench = Bench(Path(folder), jobs=max(wanted.jobs, 1))
         ledger = Ledger(wanted.results or Path(folder) / "results")
         for row in () if wanted.no_run else chosen:
-            inject(row, cases_of(row, wanted), bench, ledger)
-        tallies = [tally(row, ledger.entries(row.name)) for row in chosen]
+            inject(row, asked[row.name], bench, ledger)
+        tallies = [tally(row, ledger.entries(row.name, cases[row.name])) for row in chosen]
     for found in tallies:
         if found.count:
             say(text_line(found))

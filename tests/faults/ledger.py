@@ -55,18 +55,19 @@ class Ledger:
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)
 
-    def entries(self, row: str) -> list[Entry]:
-        """The last outcome of every case of a row, in the order in which they were first tried."""
+    def entries(self, row: str, cases: Sequence[Case]) -> list[Entry]:
+        """The last outcome of each of these cases of a row that was tried; others are no cases of it any more."""
         path = self._folder / f"{row}.jsonl"
         if not path.exists():
             return []
         lines = path.read_text(encoding="utf-8").split("\n")[:-1]
         found = [Entry(**json.loads(line)) for line in lines if line.endswith("}")]
-        return list({entry.case: entry for entry in found}.values())
+        last = {entry.case: entry for entry in found}
+        return [last[case.title] for case in cases if case.title in last]
 
     def open_cases(self, row: str, cases: Sequence[Case], sources: str) -> list[Case]:
         """The cases that have not passed with these sources."""
-        passed = {entry.case for entry in self.entries(row) if not entry.wrong and entry.sources == sources}
+        passed = {entry.case for entry in self.entries(row, cases) if not entry.wrong and entry.sources == sources}
         return [case for case in cases if case.title not in passed]
 
     def add(self, outcome: Outcome, day: str, machine: str) -> None:
