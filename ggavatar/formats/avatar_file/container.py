@@ -65,18 +65,18 @@ def write_container(path: Path, content: Container) -> int:
     members = {name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in packed.items()}
     described = sealed({"schema": SCHEMA, "version": VERSION, **content.description, "members": members})
     text = json.dumps(described, indent=1, allow_nan=False).encode()
-    content = {DESCRIPTION: text, **packed}
-    archive = _zipped(content, zipfile.ZIP_DEFLATED)
-    if _unpacks_to_too_much(sum(map(len, content.values())), len(archive)):  # an avatar of little but zeros
-        archive = _zipped(content, zipfile.ZIP_STORED)
+    parts = {DESCRIPTION: text, **packed}
+    archive = _zipped(parts, zipfile.ZIP_DEFLATED)
+    if _unpacks_to_too_much(sum(map(len, parts.values())), len(archive)):  # an avatar of little but zeros
+        archive = _zipped(parts, zipfile.ZIP_STORED)
     write_atomically(path, lambda stream: stream.write(archive))
     return path.stat().st_size
 
 
-def _zipped(content: Mapping[str, bytes], method: int) -> memoryview:
+def _zipped(parts: Mapping[str, bytes], method: int) -> memoryview:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", method) as archive:
-        for name, data in content.items():
+        for name, data in parts.items():
             info = zipfile.ZipInfo(name, _EPOCH)
             info.external_attr = 0o644 << 16
             archive.writestr(info, data, method, compresslevel=6)
