@@ -54,7 +54,7 @@ mutations: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutations $(MUTATION_FLAGS)
 
 faults: $(VENV)/installed-dev
-	$(BIN)/python -m tests.faults $(FAULT_FLAGS)
+	$(BIN)/python -m tests.faults --results build/faults $(FAULT_FLAGS)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -6,7 +6,6 @@ small programs that do what ours must not: write in place, leave temporary files
 
 from __future__ import annotations
 
-import datetime
 import os
 import signal
 import sys
@@ -18,10 +17,11 @@ import pytest
 from tests.faults import disk, kill, surroundings
 from tests.faults.__main__ import main
 from tests.faults.bench import Bench, Ended, Surroundings
-from tests.faults.case import Case, Outcome, Row
+from tests.faults.case import Case, Row
 from tests.faults.catalogue import ROWS, named
 from tests.faults.contents import contents, differences, half_written
 from tests.faults.endings import complaints
+from tests.faults.ledger import Entry
 from tests.faults.report import BEGIN, END, tally, write_table
 from tests.faults.run import run_row
 from tests.faults.small_disk import can_mount, small_disk
@@ -62,7 +62,7 @@ def writer(way: str) -> Task:
 
 
 def wrong_of(row: Row, bench: Bench, count: int) -> list[str]:
-    outcomes = run_row(row, row.cases(count, 0), bench, 2, lambda outcome: None)
+    outcomes = run_row(row, row.cases(count, 0), bench, lambda outcome: None)
     assert len(outcomes) == count
     return [text for outcome in outcomes for text in outcome.wrong]
 
@@ -189,16 +189,36 @@ def test_the_command_reports_counts_and_failures(capsys: pytest.CaptureFixture[s
 
 
 def test_the_table_keeps_the_lines_of_other_rows(tmp_path: Path) -> None:
-    page, day = tmp_path / "page.md", datetime.date(2026, 12, 1)
+    """And names every commit that cases of a row were run with."""
+    page = tmp_path / "page.md"
     page.write_text(f"{BEGIN}\n{END}\n")
     first, second = planted(()), Row("other", "more", "it holds", 1, 1, planted(()).cases, planted(()).check)
-    outcome = Outcome(Case("other", "train", "nothing", 0, ""), ("lost",), 1.0)
-    write_table(page, [tally(second, [outcome] * 1200, 90.0)], (first, second), day)
-    write_table(page, [tally(first, [], 0.0)], (first, second), day)
+    days = ("2026-12-01", "2026-12-03")
+    entries = [Entry(str(n), ("lost",), 0.075, days[n % 2], "s", f"abc{n % 2}", "2 cores") for n in range(1200)]
+    write_table(page, [tally(second, entries)], (first, second))
+    write_table(page, [tally(first, entries[:1]), tally(second, [])], (first, second))
     lines = [line for line in page.read_text().splitlines() if line.startswith("| `")]
     assert [line.split("|")[1].strip() for line in lines] == ["`planted`", "`other`"]
-    assert "| 1,200 | 1,200 | 1.5 | 2026-12-01 |" in lines[1]
-    write_table(page, [], (first,), day)
+    assert "| 1,200 | 1,200 | 1.5 | 2026-12-01 to 2026-12-03 | abc0, abc1 | 2 cores |" in lines[1]
+    write_table(page, [], (first,))
     assert "other" not in page.read_text()
     with pytest.raises(ValueError, match="found none"):
-        write_table(Path(__file__).with_name("conftest.py"), [], (first,), day)
+        write_table(Path(__file__).with_name("conftest.py"), [], (first,))
+
+
+def test_outcomes_are_kept_and_passed_cases_are_not_run_again(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A row in two parts is counted as a whole; a failure is run again, another build runs everything again."""
+    kept, wrong = ("--jobs", "1", "--results", str(tmp_path)), ["it is lost"]
+    assert main([*kept, "--case", "0", "1"], [planted(wrong)]) == 1
+    file = tmp_path / "planted.jsonl"
+    file.write_text(file.read_text() + '{"case": "planted: train, nothing (see')  # killed while it wrote
+    assert main([*kept, "--case", "0", "2"], [planted(())]) == 1
+    assert "3 cases     1 failures" in capsys.readouterr().out
+    assert main(kept, [planted(())]) == 0
+    assert "2 of 3 cases have passed with this code before" in capsys.readouterr().out
+    assert len(file.read_text().splitlines()) == 6
+    monkeypatch.setattr("tests.faults.__main__.sources_digest", lambda: "another")
+    assert main([*kept, "--no-run"], [planted(wrong)]) == 0 and main(kept, [planted(wrong)]) == 1
+    assert "3 cases     3 failures" in capsys.readouterr().out

@@ -248,7 +248,8 @@ def _array(path: Path, arrays: dict[str, np.ndarray], name: str, shape: tuple[in
     """A validated array; an optional one that is missing becomes zeros (neutral)."""
     if name not in arrays:
         if None in shape:
-            raise InputError(f"{path}: expected the array {name!r}, found {', '.join(sorted(arrays)) or 'none at all'}")
+            found = ", ".join(sorted(arrays))[:200] or "none at all"
+            raise InputError(f"{path}: expected the array {name!r}, found {found}")
         return np.zeros([size or 0 for size in shape])
     array = arrays[name]
     wanted = "×".join("any" if size is None else str(size) for size in shape)

@@ -37,6 +37,7 @@ from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.text.names import clean_text
 from ggavatar.training import registry
+from ggavatar.training.build_budget import BuildTooLargeError, within_budget
 from ggavatar.training.checkpoint import has_checkpoint, load_checkpoint, unpack_avatar
 from ggavatar.training.plan import TrainingPlan
 from ggavatar.training.snapshot import SNAPSHOT
@@ -169,7 +170,14 @@ def run_with_tensors(
     """
     step, sha256 = origin
     stored = StoredAvatar(read_config(folder), opened, load_head(opened.head_path), read_split(folder), tensors, step)
-    return assembled_run(folder, stored, device, backend, _read_run_file(folder / "provenance.json"), sha256)
+    provenance = _read_run_file(folder / "provenance.json")
+    try:
+        return assembled_run(folder, stored, device, backend, provenance, sha256)
+    except BuildTooLargeError as error:
+        raise InputError(
+            f"{folder / 'config.json'}: expected settings of the checkpoint that is there, found {error}; use the "
+            "config.json that ggavatar-train wrote"
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -200,11 +208,13 @@ def assembled_run(
 
     Raises:
         InputError: They do not fit together.
+        BuildTooLargeError: The settings ask for more memory than the tensors justify.
     """
     config, capture = stored.config, stored.capture
     scene, reader = make_scene(config, capture, stored.split, device, head=stored.head)
     method = _method_of(folder, config, provenance)
-    avatar = method.build(method.config_from(config.method_config, f"{folder}: method_config"), scene)
+    settings = method.config_from(config.method_config, f"{folder}: method_config")
+    avatar = within_budget(stored.tensors.values(), lambda: method.build(settings, scene))
     unpack_avatar(avatar, stored.tensors)
     return Run(
         folder=folder,

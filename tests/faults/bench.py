@@ -78,16 +78,18 @@ class Bench:
 
     Attributes:
         folder: Of everything; removed by whoever made it.
+        jobs: Cases that run at a time.
     """
 
-    def __init__(self, folder: Path, program: Callable[[str], Sequence[str]] | None = None) -> None:
+    def __init__(self, folder: Path, program: Callable[[str], Sequence[str]] | None = None, jobs: int = 2) -> None:
         """Make a bench.
 
         Args:
             folder: An empty folder.
+            jobs: Cases that run at a time.
             program: The first words of the command line of a command such as `train`; by default its console script.
         """
-        self.folder = folder
+        self.folder, self.jobs = folder, jobs
         self._program = program or console_script
         self._made: dict[str, Any] = {}
         self._locks: dict[str, threading.Lock] = {}
@@ -196,6 +198,7 @@ def _environment(changes: Mapping[str, str | None]) -> dict[str, str]:
         "OMP_NUM_THREADS": "1",
         "NUMBA_NUM_THREADS": "1",
         "GGAVATAR_OFFLINE": "1",
+        "PYTHONDONTWRITEBYTECODE": None,
         **changes,
     }
     return {name: value for name, value in merged.items() if value is not None}

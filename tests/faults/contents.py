@@ -107,7 +107,7 @@ def _read_whole(path: Path) -> None:
     elif kind in (".png", ".jpg"):
         with Image.open(path) as image:
             image.load()
-    elif kind in (".npz", ".zip"):
+    elif kind in (".npz", ".zip", ".ggavatar"):
         with zipfile.ZipFile(path) as archive:
             assert archive.testzip() is None
     elif kind == ".mp4":

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import datetime
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.faults.case import Outcome, Row
+from tests.faults.case import Row
+from tests.faults.ledger import Entry
 
 BEGIN, END = "<!-- written by make faults -->", "<!-- end -->"
 HEADING = (
-    "| row | what is done | passes when | count | failures | minutes | date | machine |",
-    "|---|---|---|--:|--:|--:|---|---|",
+    "| row | what is done | passes when | count | failures | minutes | date | commit | machine |",
+    "|---|---|---|--:|--:|--:|---|---|---|",
 )
 
 
@@ -25,18 +25,25 @@ class Tally:
     Attributes:
         count: Cases that were run.
         failures: Those that did not pass.
-        seconds: Wall time of the row, s.
+        seconds: Time of all cases together, s; some ran at a time.
+        days, commits, machines: Of the cases, each once.
     """
 
     row: Row
     count: int
     failures: int
     seconds: float
+    days: tuple[str, ...] = ()
+    commits: tuple[str, ...] = ()
+    machines: tuple[str, ...] = ()
 
 
-def tally(row: Row, outcomes: Sequence[Outcome], seconds: float) -> Tally:
+def tally(row: Row, entries: Sequence[Entry]) -> Tally:
     """Count the outcomes of a row."""
-    return Tally(row, len(outcomes), sum(bool(outcome.wrong) for outcome in outcomes), seconds)
+    columns = [[entry.day for entry in entries], [entry.commit for entry in entries], [e.machine for e in entries]]
+    distinct = (tuple(dict.fromkeys(column)) for column in columns)
+    failures = sum(bool(entry.wrong) for entry in entries)
+    return Tally(row, len(entries), failures, sum(entry.seconds for entry in entries), *distinct)
 
 
 def text_line(found: Tally) -> str:
@@ -49,8 +56,9 @@ def machine_class() -> str:
     return f"{os.cpu_count()} cores {platform.machine()}, {platform.system()}, Python {platform.python_version()}"
 
 
-def write_table(path: Path, tallies: Sequence[Tally], rows: Sequence[Row], day: datetime.date) -> None:
-    """Replace the lines of the tallied rows in the table of a document; lines of rows that are gone are removed.
+def write_table(path: Path, tallies: Sequence[Tally], rows: Sequence[Row]) -> None:
+    """Replace the lines of the tallied rows in the table of a document; lines of rows that are gone are removed,
+    and of rows without a case kept as they are.
 
     Raises:
         ValueError: The document has no place for the table.
@@ -60,7 +68,7 @@ def write_table(path: Path, tallies: Sequence[Tally], rows: Sequence[Row], day: 
     old, end, after = rest.partition(END)
     if not (begin and end):
         raise ValueError(f"{path}: expected the lines {BEGIN} and {END}, found none; put them where the table goes")
-    lines = _with_lines(_lines(old), tallies, day)
+    lines = {**_lines(old), **{found.row.name: _line(found) for found in tallies if found.count}}
     kept = [lines[row.name] for row in rows if row.name in lines]
     table = "\n".join((*HEADING, *kept))
     path.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
@@ -72,11 +80,12 @@ def _lines(table: str) -> dict[str, str]:
     return dict(cells)
 
 
-def _with_lines(lines: Mapping[str, str], tallies: Sequence[Tally], day: datetime.date) -> dict[str, str]:
-    machine = machine_class()
-    new = {
-        found.row.name: f"| `{found.row.name}` | {found.row.does} | {found.row.passes_when} | {found.count:,} | "
-        f"{found.failures:,} | {found.seconds / 60:.1f} | {day.isoformat()} | {machine} |"
-        for found in tallies
-    }
-    return {**lines, **new}
+def _line(found: Tally) -> str:
+    row = found.row
+    made = (
+        " to ".join(sorted({min(found.days), max(found.days)})),
+        ", ".join(found.commits),
+        "; ".join(found.machines),
+    )
+    numbers = (f"{found.count:,}", f"{found.failures:,}", f"{found.seconds / 60:.1f}")
+    return f"| {' | '.join((f'`{row.name}`', row.does, row.passes_when, *numbers, *made))} |"

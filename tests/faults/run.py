@@ -23,12 +23,10 @@ def run_case(row: Row, case: Case, bench: Bench) -> Outcome:
     return Outcome(case, wrong, time.monotonic() - began)
 
 
-def run_row(
-    row: Row, cases: Sequence[Case], bench: Bench, jobs: int, report: Callable[[Outcome], None]
-) -> list[Outcome]:
-    """Run cases of a row, `jobs` at a time; `report` is called with each outcome, in the order of the cases."""
+def run_row(row: Row, cases: Sequence[Case], bench: Bench, report: Callable[[Outcome], None]) -> list[Outcome]:
+    """Run cases of a row; `report` is called with each outcome, in the order of the cases."""
     outcomes = []
-    with ThreadPoolExecutor(jobs) as pool:
+    with ThreadPoolExecutor(bench.jobs) as pool:
         for outcome in pool.map(lambda case: run_case(row, case, bench), cases):
             report(outcome)
             outcomes.append(outcome)

@@ -91,9 +91,10 @@ def copy_of_run(bench: Bench, folder: Path) -> None:
     shutil.copytree(trained(bench), folder / "run")
 
 
-def _export(kind: str, output: str) -> Task:
-    arguments = ("run", "--format", kind, "-o", output)
-    return Task(f"export-{kind}", "export", lambda bench: arguments, copy_of_run, output)
+def _export(kind: str, output: str, *flags: object) -> Task:
+    arguments = ("run", "--format", kind, *flags, "-o", output)
+    name = "-".join(("export", kind, *([output] if flags else [])))
+    return Task(name, "export", lambda bench: arguments, copy_of_run, output)
 
 
 def _export_capture(kind: str) -> Task:
@@ -128,7 +129,9 @@ EXPORTS = (
     _export("glb", "face.glb"),
     _export("gaussian-avatars", "bound"),
     _export_capture("vhap"),
-    _export_capture("flash-avatar"),
+    _export("ply", "frames", "--frame", 0, 3),
+    _export("avatar", "face.ggavatar"),
+    _export("web", "face.html"),
 )
 DOCTOR = Task("doctor", "doctor", lambda bench: (capture(bench),), nothing, "")
 MODELS = Task("models", "models", lambda bench: (), nothing, "")

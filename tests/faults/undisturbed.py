@@ -30,10 +30,10 @@ class Reference:
 
 
 def reference(task: Task, bench: Bench) -> Reference:
-    """The task without faults: twice at a time, so that its duration is that of cases, which run beside others."""
+    """The task without faults: twice, with as many at a time as there are cases, whose duration is the same then."""
 
     def make(folder: Path) -> Reference:
-        with ThreadPoolExecutor(2) as pool:
+        with ThreadPoolExecutor(min(bench.jobs, 2)) as pool:
             first, second = pool.map(lambda _: _undisturbed(task, bench), range(2))
         assert not differences(*(part.contents for part in (first, second))), (
             f"{task.name} differs from itself: {differences(first.contents, second.contents)}"

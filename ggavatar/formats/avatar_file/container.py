@@ -33,6 +33,8 @@ TENSORS = ("head", "avatar", "tracking")
 MAX_DESCRIPTION_BYTES = 1 << 24
 MAX_UNPACKED_BYTES = 1 << 29
 """Most that the members may unpack to (512 MiB)."""
+MAX_EXPANSION, FREE_BYTES = 32, 16 << 20
+"""Above so many bytes, members unpack to at most so many times the size of the file."""
 _REMEDY = "copy the file again, or export the avatar again with ggavatar-export RUN --format avatar"
 _DTYPES = (torch.float32, torch.float64, torch.int64, torch.bool)
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -63,14 +65,27 @@ def write_container(path: Path, content: Container) -> int:
     members = {name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in packed.items()}
     described = sealed({"schema": SCHEMA, "version": VERSION, **content.description, "members": members})
     text = json.dumps(described, indent=1, allow_nan=False).encode()
+    parts = {DESCRIPTION: text, **packed}
+    archive = _zipped(parts, zipfile.ZIP_DEFLATED)
+    if _unpacks_to_too_much(sum(map(len, parts.values())), len(archive)):  # an avatar of little but zeros
+        archive = _zipped(parts, zipfile.ZIP_STORED)
+    write_atomically(path, lambda stream: stream.write(archive))
+    return path.stat().st_size
+
+
+def _zipped(parts: Mapping[str, bytes], method: int) -> memoryview:
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in {DESCRIPTION: text, **packed}.items():
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, data in parts.items():
             info = zipfile.ZipInfo(name, _EPOCH)
             info.external_attr = 0o644 << 16
-            archive.writestr(info, data, zipfile.ZIP_DEFLATED, compresslevel=6)
-    write_atomically(path, lambda stream: stream.write(buffer.getbuffer()))
-    return path.stat().st_size
+            archive.writestr(info, data, method, compresslevel=6)
+    return buffer.getbuffer()
+
+
+def _unpacks_to_too_much(unpacked: int, packed: int) -> bool:
+    """Whether an archive is larger inside than its own size makes plausible."""
+    return unpacked > max(FREE_BYTES, MAX_EXPANSION * packed)
 
 
 def _packed(tensors: Mapping[str, Tensor]) -> bytes:
@@ -86,7 +101,7 @@ def read_container(path: Path) -> Container:
     Raises:
         InputError: No such file, another kind of file, of another version, too large, or changed in any bit.
     """
-    regular_size(path, EXPECTED, MAX_UNPACKED_BYTES)
+    size = regular_size(path, EXPECTED, MAX_UNPACKED_BYTES)
     wanted = [DESCRIPTION, *(f"{name}.safetensors" for name in TENSORS)]
     with open_zip(path, EXPECTED) as archive:
         found = archive.namelist()
@@ -94,8 +109,14 @@ def read_container(path: Path) -> Container:
             raise InputError(
                 f"{path}: expected the members {', '.join(wanted)}, found {', '.join(found)[:200] or 'none'}; {_REMEDY}"
             )
-        if sum(info.file_size for info in archive.infolist()) > MAX_UNPACKED_BYTES:
+        unpacked = sum(info.file_size for info in archive.infolist())
+        if unpacked > MAX_UNPACKED_BYTES:
             raise InputError(f"{path}: unpacks to more than {MAX_UNPACKED_BYTES >> 20} MiB; {_REMEDY}")
+        if _unpacks_to_too_much(unpacked, size):
+            raise InputError(
+                f"{path}: expected at most {MAX_EXPANSION} times its size, found {unpacked >> 20} MiB unpacked from "
+                f"{size} bytes; {_REMEDY}"
+            )
         description = _description(path, read_zipped(archive, DESCRIPTION, MAX_DESCRIPTION_BYTES))
         members = description.pop("members", None)
         groups = {}

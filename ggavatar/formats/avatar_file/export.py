@@ -12,8 +12,9 @@ from torch import Tensor
 
 from ggavatar import __version__
 from ggavatar.data.expression_scores import measured_scores
+from ggavatar.errors import InputError
 from ggavatar.formats.avatar_file.container import Container, write_container
-from ggavatar.formats.avatar_file.tracking import clip_description, tracking_tensors
+from ggavatar.formats.avatar_file.tracking import MAX_PIXELS, clip_description, tracking_tensors
 from ggavatar.formats.drives import neutral_drive
 from ggavatar.formats.licensed_heads import check_license, is_licensed
 from ggavatar.formats.output_folder import check_output_file, output_file
@@ -71,10 +72,16 @@ def export_avatar_file(
         finder: Finds the landmark network, by which the faces of the training frames are measured for later drivers.
 
     Raises:
-        InputError: The head is licensed, or the file exists.
+        InputError: The head is licensed, the file exists, or the pictures are larger than readers accept.
     """
     check_output_file(path, overwrite)
     check_license(run.folder, run.head, "file", include_head_model)
+    width, height = run.capture.width, run.capture.height
+    if width * height > MAX_PIXELS:
+        raise InputError(
+            f"{run.folder}: an avatar file shows pictures of at most {MAX_PIXELS} px, found {width}×{height}; prepare "
+            "the capture with a smaller --size"
+        )
     scores = _scores(run, finder or ModelFinder())
     content = Container(
         _description(run),

@@ -25,7 +25,8 @@ from ggavatar.io.digests import sha256_of
 from ggavatar.training.run_folder import Run, RunConfig, StoredAvatar, assembled_run
 
 MAX_SETTING = 10_000_000
-"""Largest whole number among the settings of a method and a training: what is larger only fills the memory."""
+"""Largest whole number among the settings of a method and a training. What they make is bounded by
+`ggavatar.training.build_budget`; this bounds what is not a tensor."""
 _MISFITS = (
     *(RuntimeError, ValueError, TypeError, IndexError, KeyError, MemoryError, ArithmeticError, AssertionError),
     AttributeError,
@@ -40,8 +41,26 @@ def open_avatar_file(path: Path, device: str = "cpu", backend: str = "auto") -> 
     Raises:
         InputError: Another kind of file, damaged, of another version, or parts that do not fit together.
     """
-    content = read_container(path)
-    described, groups = content
+    described, groups = read_container(path)
+    try:
+        run = _run(path, described, groups, device, backend)
+        _check_faces(path, run)
+        with torch.no_grad():
+            _check_finite(run)
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error
+    except _MISFITS as error:
+        words = str(error).split("\n")[0][:160] or type(error).__name__
+        raise InputError(f"{path}: expected parts that fit together, found others ({words}); {_REMEDY}") from error
+    return run
+
+
+def _run(
+    path: Path, described: dict[str, Any], groups: Mapping[str, Mapping[str, Tensor]], device: str, backend: str
+) -> Run:
+    """The parts of a file put together; what does not fit raises an `InputError` or one of `_MISFITS`."""
     head = _head(path, described.get("head"), groups["head"])
     config = _config(path, described)
     sizes = head.expression_basis.shape[2], len(head.parents)
@@ -50,17 +69,7 @@ def open_avatar_file(path: Path, device: str = "cpu", backend: str = "auto") -> 
     stored = StoredAvatar(config, capture, head, split, tensors, _step(path, described))
     made_by = described.get("created_by")
     provenance = {"avatar_file": path.name, "created_by": made_by if isinstance(made_by, dict) else {}}
-    try:
-        run = assembled_run(results_beside(path), stored, device, backend, provenance, sha256_of(path))
-        _check_faces(path, run)
-        with torch.no_grad():
-            _check_finite(run)
-    except InputError:
-        raise
-    except _MISFITS as error:
-        words = str(error).split("\n")[0][:160] or type(error).__name__
-        raise InputError(f"{path}: expected parts that fit together, found others ({words}); {_REMEDY}") from error
-    return run
+    return assembled_run(results_beside(path), stored, device, backend, provenance, sha256_of(path))
 
 
 def _head(path: Path, names: Any, tensors: Mapping[str, Tensor]) -> HeadModel:

@@ -23,7 +23,8 @@ STORED = (
     "torso_to_camera",
 )
 """Arrays of the tracking that move an avatar; landmarks and identity coefficients stay with the capture."""
-MAX_FRAMES, MAX_SIDE = 1_000_000, 16384
+MAX_FRAMES, MAX_SIDE, MAX_PIXELS = 1_000_000, 16384, 4096 * 4096
+"""What a file may ask for, whatever its own size; pictures of `MAX_PIXELS` are rendered in less than 1 GB."""
 
 
 def tracking_tensors(capture: Capture, scores: np.ndarray | None) -> dict[str, Tensor]:
@@ -84,14 +85,14 @@ def stored_capture(
         found = arrays[name].shape if name in arrays else None
         if found != shape and not (optional and found is None):
             raise InputError(f"{path}: expected {name!r} of shape {shape}, found {found}; export the avatar again")
-    scores = arrays.pop(SCORES, None)
+    scores, (width, height) = arrays.pop(SCORES, None), _size(path, clip)
     tracking = Tracking(**arrays)
     check_tracking(path, tracking.arrays(), count)
     return CaptureWithoutImages(
         folder=path,
         subject=clean_name(str(clip.get("subject", ""))) or "unnamed",
-        width=_whole(path, clip, "width"),
-        height=_whole(path, clip, "height"),
+        width=width,
+        height=height,
         fps=_rate(path, clip),
         frames=frames,
         splits={},
@@ -108,6 +109,14 @@ def _numbers(path: Path, clip: Mapping[str, Any], name: str) -> tuple[int, ...]:
     if not whole or sorted(set(numbers)) != numbers:
         raise InputError(f"{path}: expected {name!r} to list ascending frame numbers; export the avatar again")
     return tuple(numbers)
+
+
+def _size(path: Path, clip: Mapping[str, Any]) -> tuple[int, int]:
+    """Width and height, px."""
+    width, height = (_whole(path, clip, name) for name in ("width", "height"))
+    if width * height > MAX_PIXELS:
+        raise InputError(f"{path}: expected at most {MAX_PIXELS} px in a picture, found {width}×{height}")
+    return width, height
 
 
 def _whole(path: Path, clip: Mapping[str, Any], name: str) -> int:

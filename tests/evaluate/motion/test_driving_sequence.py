@@ -55,3 +55,10 @@ def test_other_files_are_refused_with_the_page_that_lists_them(tmp_path: Path) -
     (tmp_path / "a.txt").write_text("hello")
     with pytest.raises(InputError, match=r"docs/driving\.md"):
         read_driving_sequence(tmp_path / "a.txt")
+
+
+def test_a_name_of_60_000_characters_does_not_fill_the_screen(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **{"x" * 60_000: np.zeros(1)})
+    with pytest.raises(InputError, match=r"a\.npz") as refused:
+        read_driving_sequence(tmp_path / "a.npz")
+    assert len(str(refused.value)) < 1000

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -180,6 +181,13 @@ HOSTILE: dict[str, Callable[[Container], Any]] = {
     "a setting that fills the memory": lambda content: content.description["config"]["method_config"].update(
         hidden=10**12
     ),
+    **{
+        f"a network {many} wide": lambda content, many=many: content.description["config"]["method_config"].update(
+            latent=many
+        )
+        for many in (33, 10_000, 10**6, 10**7)
+    },
+    "a picture without end": lambda content: content.description["clip"].update(width=16384, height=16384),
     "an unknown setting": lambda content: content.description["config"].update(command="rm"),
     "no clip": lambda content: content.description.pop("clip"),
     "no head": lambda content: content.description.pop("head"),
@@ -194,8 +202,21 @@ HOSTILE: dict[str, Callable[[Container], Any]] = {
 
 @pytest.mark.parametrize("what", HOSTILE)
 def test_parts_that_do_not_fit_are_refused(what: str, file: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError):
-        open_avatar(rewritten(file, tmp_path / "h.ggavatar", HOSTILE[what]))
+    """By name, and without more memory than the file justifies: the kernel's count of the most that was used."""
+    path, before = rewritten(file, tmp_path / "h.ggavatar", HOSTILE[what]), peak_mebibytes()
+    with pytest.raises(InputError, match=r"h\.ggavatar"):
+        open_avatar(path)
+    assert peak_mebibytes() - before < 700
+
+
+def peak_mebibytes() -> float:
+    """The most memory that this process had so far; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0.0
+    unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
 def test_an_unchanged_copy_opens(file: Path, tmp_path: Path) -> None:
@@ -226,6 +247,15 @@ def test_hostile_archives(file: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     refuse("avatar.json changed", **{"avatar.json": json.dumps(described | {"step": 9}).encode()})
     monkeypatch.setattr(container, "MAX_UNPACKED_BYTES", 20_000_000)
     refuse("unpacks to more", **{"head.safetensors": bytes(30_000_000)})
+    monkeypatch.undo()
+    refuse("expected at most 32 times its size", **{"head.safetensors": bytes(300_000_000)})
+
+
+def test_an_avatar_of_zeros_is_stored_so_that_it_can_be_read(tmp_path: Path) -> None:
+    """Deflated it would look like an archive that expands without end."""
+    groups: dict[str, dict[str, torch.Tensor]] = {"head": {}, "avatar": {"a": torch.zeros(5_000_000)}, "tracking": {}}
+    assert write_container(tmp_path / "a.ggavatar", Container({}, groups)) > 20_000_000
+    assert not read_container(tmp_path / "a.ggavatar").groups["avatar"]["a"].any()
 
 
 def test_tensors_of_other_types_are_neither_written_nor_read(file: Path, tmp_path: Path) -> None:
