@@ -47,6 +47,8 @@ OWN = {"Capture.open", "registry.load", "self.load", "load", "PAPER.open", "plug
 WRITING = {"w", "wb", "a", "ab", "x", "xb"}
 
 ALLOWED_TO_RUN = {
+    ("ggavatar/cli/likely_device.py", "ctypes.CDLL"): "the driver of CUDA, by the system's name",
+    ("ggavatar/networks/linear_relu.py", "torch.ops.aten.threshold_backward"): "an operation of torch itself",
     ("ggavatar/cli/process.py", "ctypes.CDLL"): "the C library of this process",
     ("ggavatar/cli/sweep.py", "subprocess.run"): "our own commands, as lists of arguments",
     ("ggavatar/cli/viewer_process.py", "subprocess.Popen"): "our own command, as a list of arguments",
@@ -63,6 +65,7 @@ ALLOWED_TO_RUN = {
 }
 
 ALLOWED_TO_OPEN = {
+    ("ggavatar/cli/likely_device.py", "(Path(found.origin).parent / 'version.py').read_text"): "torch's own file",
     ("ggavatar/cli/process.py", "os.open"): "the null device",
     ("ggavatar/__init__.py", "points[name].load"): "our own package",
     ("ggavatar/formats/capture_layouts.py", "own[kind].load"): "our own package",

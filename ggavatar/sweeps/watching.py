@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from ggavatar.errors import InputError
-from ggavatar.io.json_files import read_json
+from ggavatar.io.json_files import parse_value, read_json
+from ggavatar.io.regular_files import open_regular
 from ggavatar.sweeps.cell import Cell
 
 TAIL_BYTES = 4096
@@ -59,14 +59,14 @@ def step_of(cell: Cell) -> str:
     for folder in (cell.folder, cell.pilot.folder):
         with contextlib.suppress(InputError, OSError, KeyError, TypeError, ValueError, IndexError):
             total = int(read_json(folder / "config.json")["training"]["steps"])
-            step = int(json.loads(_last_line(folder / "metrics" / "train.jsonl"))["step"])
+            step = int(parse_value(_last_line(folder / "metrics" / "train.jsonl"))["step"])
             return f"{'pilot, ' if folder != cell.folder else ''}step {step}/{total}"
     return "starting"
 
 
 def _last_line(path: Path) -> str:
     """The last whole line of a growing file of lines."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(max(file.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
         text = file.read(TAIL_BYTES)
     return text[: text.rindex(b"\n")].splitlines()[-1].decode()

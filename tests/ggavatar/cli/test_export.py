@@ -204,6 +204,11 @@ def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: p
     assert (folder / "a").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
 
 
+def test_a_capture_is_exported_whole(toy_capture: Capture, capsys: pytest.CaptureFixture[str]) -> None:
+    assert export(toy_capture.folder, "--format", "vhap", "--neutral") == 2
+    assert "whole capture" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -213,7 +218,6 @@ def test_folder_comes_back_if_the_last_step_fails(tmp_path: Path, monkeypatch: p
         (("--drive", "none.npz"), "none.npz"),
         (("--format", "gaussian-avatars", "--frame", "3", "4"), "one --frame"),
         (("--format", "vhap"), "capture folder"),
-        (("--format", "vhap", "--neutral"), "whole capture"),
         (("--step", "3"), "complete checkpoints"),
     ],
 )

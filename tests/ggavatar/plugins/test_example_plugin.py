@@ -55,8 +55,8 @@ def run(plugin: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("module", "function", "words"),
     [
-        ("ggavatar.cli.commands", "train", ("painted_mesh: Painted", "painted_mesh_without_dssim", "ggavatar_plus")),
-        ("ggavatar.cli.commands", "export", ("by other packages: xyz",)),
+        ("ggavatar.cli.commands", "train", ("painted_mesh Painted", "painted_mesh_without_dssim", "ggavatar_plus")),
+        ("ggavatar.cli.commands", "export", ("spz, glb, xyz",)),
         ("preprocess.cli.commands", "prep", ("head_angles",)),
     ],
 )  # fmt: skip
