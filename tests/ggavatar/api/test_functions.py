@@ -1,5 +1,6 @@
 """The functions do what the commands do, and say nothing. Also covers `ggavatar/api/runs.py`, `ggavatar/api/images.py`,
-`ggavatar/api/performances.py`, `ggavatar/api/exporting.py`, `evaluate/api/scores.py` and `evaluate/api/tables.py`.
+`ggavatar/api/performances.py`, `ggavatar/api/exporting.py`, `evaluate/api/scores.py`, `evaluate/api/tables.py` and
+`evaluate/scoring/folders.py`.
 
 References: the files that the commands write for the same run.
 """
