@@ -123,8 +123,8 @@ class Config:
     """The same weight for Gaussians (ours)."""
     dssim_share: float = 0.2
     """Weight of D-SSIM in the image loss of Gaussians; L1 has the rest (3DGS). Round points have L1 alone."""
-    perceptual_weight: float = 0.1
-    """Weight of the VGG loss (PointAvatar)."""
+    perceptual_weight: float = 0.02
+    """Weight of the VGG loss that the GGAvatar paper adds to its baselines (Sec. 4.2); the paper's is not known."""
     perceptual_features: FeatureChoice = "vgg16"
     """Features of the perceptual loss: `vgg16`, an untrained stand-in (`random`), or the `best` that can be had."""
     perceptual_mode: Literal["image", "crops"] = "image"
@@ -149,13 +149,20 @@ SHORT_TRAINING: dict[str, Any] = {
     "perceptual_features": "best",
     "first_places": "seen",
     "first_colors": "frames",
+    "position_rate": 1e-3,
+    "fine_position_rate": 1e-3,
+    "basis_rate": 2e-5,
+    "scale_rate": 0.017,
     "color_rate": 1e-2,
     "sh_degree": 1,
     "perceptual_mode": "crops",
     "crop_side": 96,
     "crop_probability": 0.1,
 }
-"""Changes for trainings of a few thousand steps on a CPU."""
+"""Changes for trainings of a few thousand steps on a CPU.
+
+Measured in docs/experiments/2026-12-01-ps-avatar.md.
+"""
 
 PRESETS: dict[str, dict[str, Any]] = {"default": SHORT_TRAINING, "fast": SHORT_TRAINING, "paper": {}}
 
@@ -249,7 +256,7 @@ class PSAvatar(StepCounter):
         self.steps_done.fill_(step)
 
     def notes(self) -> dict[str, str]:
-        """Notes for provenance.json: that this is a reconstruction, and how many points are left on and off the skin."""
+        """Notes for provenance.json: that this is a reconstruction, and how many points are left where."""
         off = int((self.rows["offsets"] != 0).sum())
         return self.perceptual.notes() | {
             "reconstruction": "PSAvatar from descriptions; its code was never published and the constants are ours",
@@ -319,7 +326,5 @@ def initial_shell(config: Config, scene: Scene, poses: HeadPoses) -> Shell:
     room = face_areas(head.neutral(), head.faces)
     if config.first_places == "seen":
         room = room * faces_seen(scene, poses)
-    ranges = ShellRanges(
-        face=(config.lowest_off_face, config.highest_off_face), rest=(0.0, config.highest_off_rest)
-    )
+    ranges = ShellRanges(face=(config.lowest_off_face, config.highest_off_face), rest=(0.0, config.highest_off_rest))
     return sample_shell(head, room, (count - off, off), ranges, seeded(scene.seed, 4))

@@ -33,10 +33,15 @@ LIMITS = {
     "ggavatar": (1_800, 270),
     "ggavatar_plus": (1_850, 300),
     "point_avatar": (1_750, 280),
+    "ps_avatar": (520, 170),
     "splatting_avatar": (560, 230),
 }
 """Launches of a step and of a frame, with the rasterizer as one operation each way; the goal is 120 and 30."""
-FIRST_SETTINGS = {"flash_avatar": ("perceptual_iterations=0",), **SETTINGS}
+FIRST_SETTINGS = {
+    "flash_avatar": ("perceptual_iterations=0",),
+    "ps_avatar": ("first_opacity=0.11",),  # so that pruning at the end of the alignment, in step 6, has to remove some
+    **SETTINGS,
+}
 STEPS = 24
 STEADY = (21, 22, 23)
 """Steps of the second epoch (the toy has 19 training frames) that are not logged, saved or evaluated."""
