@@ -670,7 +670,7 @@ POINT_SHAPE = (
         PS,
         'if config.follow == "skin":',
         'if config.follow == "normal":',
-        (f"{PS_TESTS}::test_displacements_are_skinned",),
+        (f"{PS_TESTS}::test_off_the_skin_points_follow_skinning_or_the_posed_normal",),
     ),
     Mutation(
         "ps_without_mask_in_the_alignment",
