@@ -81,10 +81,10 @@ def sample_shell(
     local = head.to("cpu")
     room = room.detach().cpu()
     on = _draw(room, counts[0], generator)
-    outside = room * ~triangles_of(local, INTERIOR, torch.any)
+    outside = room * ~triangles_of(local, INTERIOR, touching=True)
     off = _draw(outside if bool(outside.any()) else room, CANDIDATES * counts[1], generator)
     low, high = (torch.tensor(pair) for pair in zip(ranges.rest, ranges.face, strict=True))
-    in_face = triangles_of(local, ("face",), torch.all)[off.face].long()
+    in_face = triangles_of(local, ("face",))[off.face].long()
     share = torch.rand(len(in_face), generator=generator)
     off = off._replace(offsets=low[in_face] + share * (high - low)[in_face])
     kept = _some_clear(local, off, counts[1])
@@ -92,14 +92,14 @@ def sample_shell(
     return Shell(*(values.to(head.faces.device) for values in joined))
 
 
-def triangles_of(head: HeadModel, names: Sequence[str], rule: object = torch.all) -> Bool[Tensor, " F"]:
-    """Which triangles have all corners in some regions, or any with the rule `torch.any`; none without the regions."""
+def triangles_of(head: HeadModel, names: Sequence[str], *, touching: bool = False) -> Bool[Tensor, " F"]:
+    """Which triangles have all corners in some regions, or at least one if `touching`; none without the regions."""
     inside = torch.zeros(len(head.template), dtype=torch.bool, device=head.faces.device)
     for name in names:
         if name in head.regions:
             inside[head.regions[name]] = True
     corners = inside[head.faces]
-    return corners.any(1) if rule is torch.any else corners.all(1)
+    return corners.any(1) if touching else corners.all(1)
 
 
 def _draw(room: Tensor, count: int, generator: torch.Generator) -> Shell:
