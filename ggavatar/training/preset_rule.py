@@ -22,6 +22,9 @@ PRESET_FIELDS: dict[str, tuple[str, ...]] = {
     ),
     "learning rate": (
         "position_rate",
+        "fine_position_rate",
+        "basis_rate",
+        "fine_basis_rate",
         "displacement_rate",
         "walk_rate",
         "scale_rate",

@@ -9,6 +9,7 @@ OURS, PLUS = f"{FOLDER}/ggavatar.py", f"{FOLDER}/ggavatar_plus.py"
 AVATARS, FLASH = f"{FOLDER}/gaussian_avatars.py", f"{FOLDER}/flash_avatar.py"
 BLENDSHAPES, POINTS = f"{FOLDER}/gaussian_blendshapes.py", f"{FOLDER}/point_avatar.py"
 SPLATTING, EMBEDDING = f"{FOLDER}/splatting_avatar.py", "ggavatar/gaussians/embedding.py"
+PS, SHAPE, SHELL = f"{FOLDER}/ps_avatar.py", "ggavatar/points/morphable_shape.py", "ggavatar/points/shell.py"
 WALK, VERTICES = "ggavatar/geometry/triangle_walk.py", "ggavatar/geometry/vertex_frames.py"
 
 TESTS = "tests/ggavatar/methods"
@@ -23,6 +24,8 @@ COLORS = f"{WIRING}::test_short_trainings_start_in_the_colors_of_the_frames"
 PAPER = "tests/test_paper.py"
 EMBEDDED = "tests/ggavatar/gaussians/test_embedding.py"
 WALKED = "tests/ggavatar/geometry/test_triangle_walk.py"
+PS_TESTS, SHAPED = f"{TESTS}/test_ps_avatar.py", "tests/ggavatar/points/test_morphable_shape.py"
+SHELLS = "tests/ggavatar/points/test_shell.py"
 
 GGAVATAR = (
     Mutation(
@@ -598,4 +601,122 @@ EMBEDDED_METHOD = (
     ),
 )
 
-MUTATIONS = (*GGAVATAR, *BASELINES, *EMBEDDED_METHOD)
+POINT_SHAPE = (
+    Mutation(
+        "ps_points_of_equal_weights",
+        SHAPE,
+        "(weights[:, :, None] * values.index_select",
+        "(torch.full_like(weights, 1 / 3)[:, :, None] * values.index_select",
+        (f"{SHAPED}::test_contracting_on_the_mesh_is_blending_every_basis",),
+    ),
+    Mutation(
+        "ps_lids_not_turned_with_the_neck",
+        SHAPE,
+        "lids @ carrier.T + drive.translation",
+        "lids + drive.translation",
+        (f"{SHAPED}::test_the_skinned_mesh_is_the_head",),
+    ),
+    Mutation(
+        "ps_points_do_not_turn_with_the_torso",
+        SHAPE,
+        "turns=torch.lerp(mesh.turns, turned, share)",
+        "turns=mesh.turns",
+        (f"{SHAPED}::test_turns_are_rotations_and_follow_a_held_torso",),
+    ),
+    Mutation(
+        "ps_corrections_of_still_coefficients",
+        SHAPE,
+        "self.spread * shape_coefficients(drive)",
+        "shape_coefficients(drive)",
+        (f"{SHAPED}::test_coefficients_learn_as_much_as_they_move",),
+    ),
+    Mutation(
+        "ps_points_crowd_at_corners",
+        SHELL,
+        "along = along.sqrt()",
+        "along = along * 1",
+        (f"{SHELLS}::test_points_on_the_skin_have_the_shares_of_the_areas_and_are_uniform",),
+    ),
+    Mutation(
+        "ps_points_off_the_tongue",
+        SHELL,
+        "room * ~triangles_of(local, INTERIOR, touching=True)",
+        "room * 1",
+        (f"{SHELLS}::test_nothing_is_placed_off_the_inside_of_the_mouth",),
+    ),
+    Mutation(
+        "ps_face_as_deep_as_hair",
+        SHELL,
+        "[off.face].long()",
+        "[off.face].long() * 0",
+        (f"{SHELLS}::test_offsets_are_uniform_in_the_ranges_of_their_region",),
+    ),
+    Mutation(
+        "ps_points_in_other_skin",
+        SHELL,
+        ">= CLEARANCE * off.offsets.abs()",
+        ">= 0 * off.offsets.abs()",
+        (f"{SHELLS}::test_points_off_the_skin_are_clear_of_other_skin",),
+    ),
+    Mutation(
+        "ps_turn_on_the_right",
+        PS,
+        'quaternion_multiply(turns, normalize(rows["quats"], dim=-1))',
+        'quaternion_multiply(normalize(rows["quats"], dim=-1), turns)',
+        (f"{PS_TESTS}::test_rotations_are_those_of_the_points_after_their_own",),
+    ),
+    Mutation(
+        "ps_follows_normals_instead_of_skinning",
+        PS,
+        'if config.follow == "skin":',
+        'if config.follow == "normal":',
+        (f"{PS_TESTS}::test_off_the_skin_points_follow_skinning_or_the_posed_normal",),
+    ),
+    Mutation(
+        "ps_without_mask_in_the_alignment",
+        PS,
+        "}, config.mask_weight",
+        "}, 0.0",
+        (f"{PS_TESTS}::test_objective_of_both_stages_by_hand",),
+    ),
+    Mutation(
+        "ps_round_points_keep_their_size",
+        PS,
+        'self._size_share(int(self.steps_done)) * rows["log_scales"]',
+        '1.0 * rows["log_scales"]',
+        (f"{PS_TESTS}::test_round_points_shrink_to_half_and_the_switch_changes_nothing_but_faint_ones",),
+    ),
+    Mutation(
+        "ps_gaussians_start_at_the_first_size",
+        PS,
+        "new_tensor(self.config.last_size)",
+        "new_tensor(self.config.first_size)",
+        (f"{PS_TESTS}::test_round_points_shrink_to_half_and_the_switch_changes_nothing_but_faint_ones",),
+    ),
+    Mutation(
+        "ps_prunes_all",
+        PS,
+        " | (logits >= floor)",
+        "",
+        (f"{PS_TESTS}::test_pruning_removes_the_faint_but_not_the_last_fifth",),
+    ),
+    Mutation(
+        "ps_harmonics_before_gaussians",
+        PS,
+        "self.steps_done - self.aligned_after, interval",
+        "self.steps_done, interval",
+        (f"{PS_TESTS}::test_schedule_scales_with_the_training",),
+    ),
+    Mutation(
+        "ps_alignment_of_half_the_training", PS, "stage_share: float = 0.25", "stage_share: float = 0.5", (CONSTANTS,)
+    ),
+    Mutation(
+        "ps_torso_turns",
+        PS,
+        'if config.pose_on == "neck" else',
+        "if False else",
+        (f"{TORSO}[ps_avatar]",),
+    ),
+)
+
+MUTATIONS = (*GGAVATAR, *BASELINES, *EMBEDDED_METHOD, *POINT_SHAPE)

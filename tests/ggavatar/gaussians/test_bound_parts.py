@@ -15,7 +15,7 @@ from ggavatar.training.registry import load, names
 from tests.support.untrained_avatars import untrained
 
 OFFERING = {"ggavatar", "ggavatar_plus", "gaussian_avatars"}
-WITHOUT = {"flash_avatar", "gaussian_blendshapes", "point_avatar", "splatting_avatar"}
+WITHOUT = {"flash_avatar", "gaussian_blendshapes", "point_avatar", "ps_avatar", "splatting_avatar"}
 
 
 def assert_same(found: Gaussians, expected: Gaussians) -> None:

@@ -197,12 +197,43 @@ SPLATTING_AVATAR: dict[str, Any] = {
     "perceptual_weight": 0.01 / 10,
 }
 
+PS_AVATAR: dict[str, Any] = THREE_DGS | {
+    # Zhao et al. 2024 published no constants: these are those of 3DGS, of PointAvatar, and of GGAvatar's Sec. 4.2
+    "iterations": 30_000,
+    "first_places": "surface",
+    "first_colors": "grey",
+    "follow": "skin",
+    "free": True,
+    "corrections": True,
+    "position_rate": 1.6e-4,
+    "position_decay": 0.01,
+    "scale_rate": 5e-3,
+    "fine_prune_opacity": 0.005,
+    "mask_weight": 1.0,
+    "perceptual_weight": 0.02,
+    "perceptual_mode": "image",
+    # MonoGaussianAvatar
+    "prune_opacity": 0.1,
+    # ours
+    "points": 100_000,
+    "off_share": 0.5,
+    "lowest_off_face": -0.005,
+    "highest_off_face": 0.015,
+    "highest_off_rest": 0.06,
+    "stage_share": 0.25,
+    "fine_position_rate": 1.6e-5,
+    "basis_rate": 1e-4,
+    "fine_basis_rate": 1e-5,
+    "fine_mask_weight": 0.1,
+}
+
 PUBLISHED = {
     "ggavatar": GGAVATAR,
     "gaussian_avatars": GAUSSIAN_AVATARS,
     "flash_avatar": FLASH_AVATAR,
     "gaussian_blendshapes": GAUSSIAN_BLENDSHAPES,
     "point_avatar": POINT_AVATAR,
+    "ps_avatar": PS_AVATAR,
     "splatting_avatar": SPLATTING_AVATAR,
 }
 

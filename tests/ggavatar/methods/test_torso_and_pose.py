@@ -81,6 +81,7 @@ ON_THE_NECK = {
     "flash_avatar": {"pose_on": "neck", "first_offsets": "none", "texels": "24"},
     "gaussian_blendshapes": {"pose_on": "neck"},
     "splatting_avatar": {"pose_on": "neck"},
+    "ps_avatar": {"pose_on": "neck"},
 }
 ON_THE_CAMERA = {
     method: {**settings, **({"torso": "false"} if method == "ggavatar_plus" else {"pose_on": "camera"})}

@@ -34,6 +34,7 @@ LIMITS = {
     "ggavatar": (1_800, 270),
     "ggavatar_plus": (1_850, 300),
     "point_avatar": (1_750, 280),
+    "ps_avatar": (520, 190),
     "splatting_avatar": (560, 230),
 }
 """Launches of a step and of a frame without our kernels, with the rasterizer as one operation each way."""
@@ -44,10 +45,15 @@ WITH_KERNELS = {
     "ggavatar": (120, 30),
     "ggavatar_plus": (190, 55),
     "point_avatar": (1_700, 330),
+    "ps_avatar": (310, 200),
     "splatting_avatar": (340, 140),
 }
 """Launches of a step, the VGG network aside, and of a frame, at the settings of the papers, with our kernels."""
-FIRST_SETTINGS = {"flash_avatar": ("perceptual_iterations=0",), **SETTINGS}
+FIRST_SETTINGS = {
+    "flash_avatar": ("perceptual_iterations=0",),
+    "ps_avatar": ("first_opacity=0.11",),  # so that pruning at the end of the alignment, in step 6, has to remove some
+    **SETTINGS,
+}
 STEPS = 24
 STEADY = (21, 22, 23)
 """Steps of the second epoch (the toy has 19 training frames) that are not logged, saved or evaluated."""

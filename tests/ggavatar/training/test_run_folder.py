@@ -163,7 +163,15 @@ def test_a_budget_below_the_triangles_is_refused_before_anything_is_written(
 
 @pytest.mark.parametrize(
     "method",
-    ["flash_avatar", "gaussian_avatars", "gaussian_blendshapes", "ggavatar_plus", "point_avatar", "splatting_avatar"],
+    [
+        "flash_avatar",
+        "gaussian_avatars",
+        "gaussian_blendshapes",
+        "ggavatar_plus",
+        "point_avatar",
+        "ps_avatar",
+        "splatting_avatar",
+    ],
 )
 def test_max_gaussians_is_a_limit_from_the_first_step(method: str, toy_capture: Capture, tmp_path: Path) -> None:
     limit = max(len(load_head(toy_capture.head_path).faces), 150)
