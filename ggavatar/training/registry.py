@@ -22,6 +22,7 @@ from ggavatar.errors import InputError, nearest
 from ggavatar.io.dataclass_json import from_plain, override
 from ggavatar.io.regular_files import read_file
 from ggavatar.plugins.entry_points import METHODS, Listed, Plugin, listed, source_of
+from ggavatar.text.names import clean_text
 from ggavatar.training.preset_rule import check_preset
 
 METHODS_FOLDER = Path(__file__).parents[1] / "methods"
@@ -117,6 +118,26 @@ def load(name: str) -> Method:
         module = source.plugin.load("Config", "build")
     overrides = {} if name == stem else module.VARIANTS[name.removeprefix(stem + "_")]
     return Method(name, module, overrides, source.plugin)
+
+
+def load_as_trained(name: str, package: object, folder: Path) -> Method:
+    """The method of a run.
+
+    Args:
+        name: Its name.
+        package: Name and version of the package that the run says it is from; None for our own.
+        folder: The run.
+
+    Raises:
+        InputError: There is no such method, for instance since its package is not installed.
+    """
+    if isinstance(package, Mapping) and name not in {**names(), **problems()}:
+        named = clean_text(f"{package.get('name')} {package.get('version')}")
+        raise InputError(
+            f"{folder}: expected the package {named}, whose method {name} trained it, found no such method; install "
+            "the package"
+        )
+    return load(name)
 
 
 def table_notes(name: str) -> tuple[str, ...]:

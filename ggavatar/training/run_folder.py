@@ -35,7 +35,6 @@ from ggavatar.io.dataclass_json import from_plain, to_plain
 from ggavatar.io.folder_lock import is_lock_file, lock_folder
 from ggavatar.io.held_folders import make_folder
 from ggavatar.io.json_files import read_json, write_sealed_json
-from ggavatar.text.names import clean_text
 from ggavatar.training import registry
 from ggavatar.training.build_budget import BuildTooLargeError, within_budget
 from ggavatar.training.checkpoint import has_checkpoint, load_checkpoint, unpack_avatar
@@ -212,7 +211,7 @@ def assembled_run(
     """
     config, capture = stored.config, stored.capture
     scene, reader = make_scene(config, capture, stored.split, device, head=stored.head)
-    method = _method_of(folder, config, provenance)
+    method = registry.load_as_trained(config.method, provenance.get("method_package"), folder)
     settings = method.config_from(config.method_config, f"{folder}: method_config")
     avatar = within_budget(stored.tensors.values(), lambda: method.build(settings, scene))
     unpack_avatar(avatar, stored.tensors)
@@ -231,18 +230,6 @@ def assembled_run(
         sha256=sha256,
         reader=reader,
     )
-
-
-def _method_of(folder: Path, config: RunConfig, provenance: Mapping[str, Any]) -> registry.Method:
-    """The method of a run; if it is not installed, the message names the package that the run says it is from."""
-    package = provenance.get("method_package")
-    if isinstance(package, Mapping) and config.method not in {**registry.names(), **registry.problems()}:
-        named = clean_text(f"{package.get('name')} {package.get('version')}")
-        raise InputError(
-            f"{folder}: expected the package {named}, whose method {config.method} trained it, found no such method; "
-            "install the package"
-        )
-    return registry.load(config.method)
 
 
 def make_scene(

@@ -71,12 +71,12 @@ def _type(argument: Any) -> str:
     return "i32"
 
 
-def compiled(launches: list[Launch], capability: int) -> list[dict[str, Any]]:
-    """Compile launches for a GPU (90 for sm_90) in a new process: for each, registers, bytes spilled, shared memory."""
+def compiled(launches: list[Launch], targets: tuple[int, ...]) -> list[dict[str, Any]]:
+    """Compile launches for GPUs (90 for sm_90) in a new process: for each, registers, bytes spilled, shared memory."""
     environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
     with tempfile.TemporaryDirectory() as cache:
         done = subprocess.run(
-            [sys.executable, "-m", "tests.support.kernel_compiler", str(capability)],
+            [sys.executable, "-m", "tests.support.kernel_compiler", *map(str, targets)],
             input="\n".join(launch.as_json() for launch in launches),
             env={**environment, "TRITON_CACHE_DIR": cache}, cwd=Path(__file__).parents[2],
             capture_output=True, text=True, check=False,
@@ -113,11 +113,12 @@ def _compile(launch: Launch, capability: int) -> dict[str, Any]:
     registers, spilled = re.search(r"Used (\d+) registers", said), re.findall(r"(\d+) bytes spill", said)
     assert registers and len(spilled) == 2, said
     return {
-        "kernel": launch.name, "constants": launch.constants,
+        "kernel": launch.name, "target": capability, "constants": launch.constants,
         "registers": int(registers[1]), "spilled": sum(map(int, spilled)), "shared": made.metadata.shared,
     }  # fmt: skip
 
 
 if __name__ == "__main__":
     for line in sys.stdin.read().splitlines():
-        sys.stdout.write(json.dumps(_compile(Launch(**json.loads(line)), int(sys.argv[1]))) + "\n")
+        for target in sys.argv[1:]:
+            sys.stdout.write(json.dumps(_compile(Launch(**json.loads(line)), int(target))) + "\n")

@@ -80,7 +80,7 @@ def export_avatar_file(
     if width * height > MAX_PIXELS:
         raise InputError(
             f"{run.folder}: an avatar file shows pictures of at most {MAX_PIXELS} px, found {width}×{height}; prepare "
-            "the capture with a smaller --size"
+            "a smaller capture (ggavatar-prep --size)"
         )
     scores = _scores(run, finder or ModelFinder())
     content = Container(

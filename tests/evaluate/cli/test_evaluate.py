@@ -96,7 +96,7 @@ def test_missing_frames_and_sizes_end_with_code_2_and_one_message(
         (["--pred", "a", "--gt", "b", "--compare", "gone.json"], "gone.json: no such file"),
         (["--pred", "a", "--gt", "b", "--metrics", "psnrr"], "did you mean psnr?"),
         (["--pred", "absent", "--gt", "absent"], "expected a folder"),
-        (["run", "--device", "gpu"], "--device: expected auto, cpu, cuda"),
+        (["run", "--device", "gpu"], "run: no such file or folder; expected a run folder"),
     ],
 )
 def test_bad_input_ends_with_code_2(

@@ -90,7 +90,7 @@ def test_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((tmp_path / "a.ply", "--overwrite"), "another file than the source"),
         ((tmp_path / "a.ply", "--frame", 3), "without --neutral, --frame"),
         ((tmp_path / "a.ply", "--format", "gaussian-avatars"), "is written as ply, splat, spz, glb"),
-        ((tmp_path / "a.ply", "--format", "vhap"), "is written as ply"),
+        ((tmp_path / "a.ply", "--format", "vhap"), "expected a capture folder"),
         ((tmp_path / "bound.ply", "-o", tmp_path / "b.spz"), "only --format ply keeps the binding"),
         ((tmp_path / "none.sog",), "no such file"),
         ((tmp_path, "--scales", "linear"), "expected a run folder"),

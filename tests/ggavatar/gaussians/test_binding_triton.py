@@ -95,9 +95,8 @@ def test_triangles_that_want_a_gradient_are_left_to_the_twin() -> None:
     assert frames.centers.grad[:, 0].tolist() == [1.0, 2.0, 0, 0, 0, 0, 0, 0, 0, 1.0]
 
 
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
+def test_kernels_compile_without_spilling(registers_of: Callable[..., dict[str, int]]) -> None:
     with recorded_launches() as launches:
         bound(torch.float32)
         refined(torch.float32, 13)
-    assert max(registers_of(launches, target).values()) <= 64
+    assert max(registers_of(launches).values()) <= 64

@@ -54,9 +54,8 @@ def test_gradients_of_vertices_are_the_twins() -> None:
     torch.testing.assert_close(vertices.grad, torch.full((3, 3), 1 / 3))
 
 
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
+def test_kernels_compile_without_spilling(registers_of: Callable[..., dict[str, int]]) -> None:
     with recorded_launches() as launches:
         triangle_frames(torch.rand(3, 3), torch.tensor([[0, 1, 2]]))
-    found: dict[str, Any] = registers_of(launches, target)
+    found: dict[str, Any] = registers_of(launches)
     assert found.keys() == {"place_frames"} and found["place_frames"] <= 64

@@ -67,12 +67,11 @@ def test_whoever_wants_a_gradient_gets_it_from_the_twin() -> None:
     assert launches, "without gradients the kernels do it"
 
 
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
+def test_kernels_compile_without_spilling(registers_of: Callable[..., dict[str, int]]) -> None:
     head, drive = in_float32(random_head(), random_drive())
     with recorded_launches() as launches:
         head.vertices(drive)
         head.condition(drive)
-    found = registers_of(launches, target)
+    found = registers_of(launches)
     limits = {"pose_joints": 128, "skin_vertices": 64, "write_condition": 64}
     assert found.keys() == limits.keys() and all(found[name] <= limits[name] for name in limits), found

@@ -57,8 +57,7 @@ def test_targets_are_those_of_the_twin() -> None:
     torch.testing.assert_close(terms, image_terms(image, found, 0.5), atol=1e-6, rtol=1e-5)
 
 
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
+def test_kernels_compile_without_spilling(registers_of: Callable[..., dict[str, int]]) -> None:
     image, truth = pair(2, 2)
     with recorded_launches() as launches:
         image_terms(image.requires_grad_(), truth, 0.2).dssim.backward()
@@ -66,4 +65,4 @@ def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..
         *("blur_products", "blur_means", "blur_products", "compare", "finish_terms"),
         *("blur_derivatives", "differentiate_terms"),
     ]
-    assert max(registers_of(launches, target).values()) <= 96
+    assert max(registers_of(launches).values()) <= 96

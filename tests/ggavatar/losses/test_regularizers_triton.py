@@ -60,11 +60,10 @@ def test_nothing_visible_costs_nothing(kind: str) -> None:
     assert cost.item() == 0.0 and leaf.grad is not None and not leaf.grad.any()
 
 
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
+def test_kernels_compile_without_spilling(registers_of: Callable[..., dict[str, int]]) -> None:
     rows, visible = rows_and_flags(4)
     with recorded_launches() as launches:
         for ours, _, _ in TERMS.values():
             ours(rows.clone().requires_grad_(), visible).backward()
-    found = registers_of(launches, target)
+    found = registers_of(launches)
     assert found.keys() == {"sum_costs", "finish_mean", "differentiate_costs"} and max(found.values()) <= 48, found

@@ -61,9 +61,8 @@ def test_positions_that_are_not_numbers_are_looked_up_in_a_corner() -> None:
 
 
 @pytest.mark.usefixtures("_on_this_device")
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(target: int, registers_of: Callable[..., dict[str, int]]) -> None:
+def test_kernels_compile_without_spilling(registers_of: Callable[..., dict[str, int]]) -> None:
     with recorded_launches() as launches:
         looked_up(HashTriplaneConfig(), torch.zeros(3, 3), torch.ones(3, 72))
     assert [launch.name for launch in launches] == ["look_up_points", "spread_gradient"]
-    assert max(registers_of(launches, target).values()) <= 64
+    assert max(registers_of(launches).values()) <= 64

@@ -54,6 +54,7 @@ FIRST_SETTINGS = {
     "ps_avatar": ("first_opacity=0.11",),  # so that pruning at the end of the alignment, in step 6, has to remove some
     **SETTINGS,
 }
+SLOW = ("flash_avatar", "gaussian_blendshapes", "ggavatar_plus", "point_avatar")
 STEPS = 24
 STEADY = (21, 22, 23)
 """Steps of the second epoch (the toy has 19 training frames) that are not logged, saved or evaluated."""
@@ -87,7 +88,9 @@ def plain_state(trainer: Trainer) -> dict[str, torch.Tensor]:
     return {name: inner(value) for name, value in trainer.avatar.state_dict().items()}
 
 
-@pytest.mark.parametrize("method", sorted(LIMITS))
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in sorted(LIMITS)]
+)
 def test_a_method_trains_there_without_waiting_and_comes_back(
     method: str, toy_capture: Capture, tmp_path: Path, tally: Tally
 ) -> None:

@@ -148,14 +148,19 @@ def test_the_help_lists_it_and_names_what_is_broken(site: Path) -> None:
     (site / "dots-1.dist-info" / "entry_points.txt").write_text(
         f"[{METHODS}]\ndots = of_a_test_dots\nopen = of_a_test_open\ngone = of_a_test_gone\nggavatar_plus = x\n"
     )
-    code = "from ggavatar.cli.train import _description as d; import sys; print(d()); sys.exit('torch' in sys.modules)"
+    code = (
+        "from ggavatar.cli.training_help import method_lines; import sys; print(*method_lines(), sep=chr(10)); "
+        "sys.exit('torch' in sys.modules)"
+    )
     paths = os.pathsep.join((str(site), str(Path(__file__).parents[3])))
     shown = subprocess.run(
         [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True
     )
     assert shown.returncode == 0, shown.stderr
-    assert "  dots: A stranger that only exists in this test." in shown.stdout and "  ggavatar: " in shown.stdout
-    notes = [line for line in shown.stdout.splitlines() if line.startswith("Note: ")]
+    listed = [" ".join(line.split()) for line in shown.stdout.splitlines()]
+    assert "dots A stranger that only exists in this test." in listed
+    assert any(line.startswith("ggavatar GGAvatar") for line in listed)
+    notes = [line for line in shown.stdout.splitlines() if line.startswith("note: ")]
     assert len(notes) == 3
     for words in ("'open' of the package dots 1 is left out: its source", "no module of_a_test_gone", "of this name"):
         assert sum(words in note for note in notes) == 1, notes

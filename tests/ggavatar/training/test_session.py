@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from ggavatar.cli.run import run_command
+from ggavatar.cli.train import Arguments
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError
 from ggavatar.training import session, trainer
@@ -241,7 +242,7 @@ def test_out_of_gpu_memory_is_one_message(
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.\nmore words")
 
     monkeypatch.setattr(session, "make_trainer", full)
-    assert run_command(lambda: train_run(capture, tmp_path / "run", PLAIN, quiet=True)) == 1
+    assert run_command(lambda: train_run(capture, tmp_path / "run", PLAIN, quiet=True), Arguments) == 1
     error = capfd.readouterr().err
     assert (
         error.startswith("out of memory: CUDA out of memory.") and "--max-gaussians" in error and error.count("\n") == 1

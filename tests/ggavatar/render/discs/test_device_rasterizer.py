@@ -123,11 +123,8 @@ def test_other_dtypes_and_no_discs_go_to_the_reference(draw: Rasterizer) -> None
     assert launches == []
 
 
-@pytest.mark.parametrize("target", [80, 89, 90])
-def test_kernels_compile_without_spilling(
-    target: int, draw: Rasterizer, registers_of: Callable[..., dict[str, Any]]
-) -> None:
+def test_kernels_compile_without_spilling(draw: Rasterizer, registers_of: Callable[..., dict[str, Any]]) -> None:
     with recorded_launches() as launches:
         with_gradients(draw, crowd(3, 0.2), random_camera(8, 8, torch.float32), torch.float32)
-    found = registers_of([launch for launch in launches if "disc" in launch.name], target)
+    found = registers_of([launch for launch in launches if "disc" in launch.name])
     assert len(found) == 4 and max(found.values()) <= 64
