@@ -113,6 +113,7 @@ def test_rows_of_parameters_are_baked(run_folder: Path, toy_capture: Capture, tm
     assert run.step == 4
 
 
+@pytest.mark.slow
 def test_an_avatar_file_is_exported_and_exported_from(
     run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -124,6 +124,7 @@ def test_the_output_must_not_be_a_file(
     assert "found a file" in capfd.readouterr().err and (tmp_path / "mine").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_the_grid_is_trained_once_and_failures_are_reported(
     toy_capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
