@@ -45,10 +45,10 @@ $(TABLE)/captures/subject-%/preview.jpg: $(VENV)/installed
 		-o $(TABLE)/captures/subject-$*
 
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest -n auto $(TEST_FLAGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal $(TEST_FLAGS)
 
 coverage: $(VENV)/installed-dev
-	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered --cov-fail-under=90 $(TEST_FLAGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal --cov --cov-report=term:skip-covered --cov-fail-under=90 $(TEST_FLAGS)
 
 mutations: $(VENV)/installed-dev
 	$(BIN)/python -m tests.mutations $(MUTATION_FLAGS)

@@ -87,6 +87,7 @@ def test_one_length_that_time_can_be(tmp_path: Path, wrong: dict[str, float]) ->
         sweep.sweep(sweep.Arguments((tmp_path / "capture",), tmp_path / "grid", **wrong))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_real_cell_trains_as_long_as_its_pilot_says(toy_capture: Capture, tmp_path: Path) -> None:
     grid = tmp_path / "grid"
     arguments = sweep.Arguments((toy_capture.folder,), grid, seeds=(7,), minutes=0.02, device="cpu", train_only=True)

@@ -192,9 +192,8 @@ def test_names_of_variants_clash_too(site: Path) -> None:
 
 
 def test_a_run_names_the_package_that_is_missing(site: Path) -> None:
-    config = RunConfig("dots", "capture")
-    package = {"method_package": {"name": "dots\x1b[2J", "version": "1.5"}}
+    package = {"name": "dots\x1b[2J", "version": "1.5"}
     with pytest.raises(InputError, match=r"^run: expected the package dots\S*2J 1.5, whose method dots trained it"):
-        run_folder._method_of(Path("run"), config, package)
+        registry.load_as_trained("dots", package, Path("run"))
     with pytest.raises(InputError, match=r"unknown method 'dots'.*Install the package"):
-        run_folder._method_of(Path("run"), config, {})
+        registry.load_as_trained("dots", None, Path("run"))

@@ -156,7 +156,13 @@ def mean_psnr(avatar: Any, trainer: Trainer) -> float:
     return sum(values) / len(values)
 
 
-@pytest.mark.parametrize("name", sorted(registry.names()))
+METHODS = {path.stem for path in registry.METHODS_FOLDER.glob("*.py")}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name if name in METHODS else pytest.param(name, marks=pytest.mark.slow) for name in sorted(registry.names())],
+)
 def test_every_method_learns_and_reopens(name: str, toy_capture: Capture, tmp_path: Path) -> None:
     """Test PSNR rises by decibels; the reopened avatar is bit-identical, also for a drive that no frame has."""
     settings = [text for text in SETTINGS if text.split("=")[0] in registry.load(name).config().__dataclass_fields__]
