@@ -14,9 +14,8 @@ import pytest
 
 from ggavatar.errors import InputError
 from ggavatar.plugins.entry_points import METHODS
-from ggavatar.training import registry, run_folder
+from ggavatar.training import registry
 from ggavatar.training.provenance import method_package_of
-from ggavatar.training.run_folder import RunConfig
 from tests.support.plugin_packages import install
 
 STRANGER = '''"""A stranger that only exists in this test."""
