@@ -103,6 +103,7 @@ def run(folder: Path, names: list[str], monkeypatch: pytest.MonkeyPatch) -> None
     assert main([*write_stored(folder / "stored", names), *flags, *outputs]) == 3
 
 
+@pytest.mark.slow
 def test_stored_names_reach_every_table_and_report_as_text(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -107,6 +107,7 @@ def test_what_is_allowed(tmp_path: Path) -> None:
     assert read_json(path) == {"a": 2**64 - 1, "b": -1e308, "c": "😀 \\ud800 é", "d": {"a": 1}}
 
 
+@pytest.mark.slow
 def test_a_large_file_of_small_values_takes_little_memory(tmp_path: Path) -> None:
     """Lists of numbers, objects and texts at the limit of what is accepted, measured in a process of its own."""
     kinds = {"numbers": b"0.5,", "lists": b"[],", "objects": b'{"a":[]},', "texts": b'"ab",', "wide": '"é😀",'.encode()}

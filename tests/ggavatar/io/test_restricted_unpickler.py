@@ -105,6 +105,7 @@ def test_work_and_memory_are_bounded(name: str, measured: dict) -> None:
         assert found.message and ".frame: " in found.message, found
 
 
+@pytest.mark.slow
 def test_large_plain_data_is_still_read(tmp_path: Path) -> None:
     """Three hundred thousand numbers and texts in dictionaries, as a clip's coefficients might be saved."""
     content = {f"{number:05d}": {"expr": [0.5 * number] * 20, "name": f"frame {number}"} for number in range(12_000)}

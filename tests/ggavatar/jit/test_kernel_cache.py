@@ -63,6 +63,7 @@ def test_the_sources_of_a_kernel_hold_all_that_it_inlines(name: str) -> None:
     assert {ROOT.joinpath(*used_name.split(".")).with_suffix(".py") for used_name in used} <= set(sources)
 
 
+@pytest.mark.slow
 def test_an_edit_of_a_file_changes_every_digest_that_uses_it(tmp_path: Path) -> None:
     """Each file that any kernel is made of is edited in turn, in a copy of the packages."""
     for package in ("ggavatar", "preprocess"):

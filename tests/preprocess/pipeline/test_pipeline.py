@@ -135,6 +135,7 @@ def test_options_that_an_imported_tracking_ignores_are_refused(clip, tmp_path, c
     assert "leave it out" in said(capsys) and not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_interrupted_runs_continue(clip, tmp_path, monkeypatch, capsys):
     """Killed in the middle of each stage: no capture is left that opens; the same command finishes it, or --resume."""
     from preprocess.pipeline import crop_stage, mask_stage
