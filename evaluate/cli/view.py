@@ -19,6 +19,7 @@ def main() -> int:
     """Run the command; Ctrl-C is how it ends, with exit code 0; 1 failure, 2 bad input."""
 
     def body() -> None:
+        """What `run_command` guards."""
         is_companion = sys.argv[-1] == WAIT
         arguments = with_first_camera(sys.argv[1:-1] if is_companion else sys.argv[1:])
         options: Options = parse(PAGE, arguments)

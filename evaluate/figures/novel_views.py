@@ -12,9 +12,9 @@ from torch import Tensor
 
 from evaluate.figures.contact_sheet import Row, contact_sheet, resize_to_width
 from evaluate.motion.orbit import orbit_camera
-from evaluate.scoring.frame_files import to_8_bit
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.data.background import Color
+from ggavatar.pictures.quantization import to_8_bit
 
 YAWS = (-40.0, -25.0, -12.0, 0.0, 12.0, 25.0, 40.0)
 PITCHES = (-25.0, -16.0, -8.0, 0.0, 8.0, 16.0, 25.0)

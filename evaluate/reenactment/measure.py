@@ -15,7 +15,6 @@ from evaluate.motion.retarget import drives_and_cameras
 from evaluate.motion.transfer import TransferOptions
 from evaluate.reenactment.fidelity import Fidelity, head_rotation, landmark_jitter, pose_distance, score_fidelity
 from evaluate.rendering.driven import Rest, perform
-from evaluate.scoring.frame_files import to_8_bit
 from ggavatar.core import Camera
 from ggavatar.data.capture import Capture
 from ggavatar.data.expression_scores import faces_in, scores_of
@@ -25,6 +24,7 @@ from ggavatar.landmarks.blendshapes import NAMES
 from ggavatar.landmarks.bundle import canonical_face
 from ggavatar.landmarks.crop_region import LEFT_EYE_OUTER, RIGHT_EYE_OUTER
 from ggavatar.landmarks.tracker import Landmarks, LandmarkTracker
+from ggavatar.pictures.quantization import to_8_bit
 from ggavatar.pretrained.resolve import ModelFinder
 from ggavatar.training.run_folder import Run
 

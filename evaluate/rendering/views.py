@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from evaluate.figures.video import video_writer
-from evaluate.scoring.frame_files import frame_file, to_8_bit
+from evaluate.scoring.frame_files import frame_file
 from ggavatar.core import Avatar, Camera, Drive, Rasterizer
 from ggavatar.data.background import Color
 from ggavatar.errors import InputError
@@ -27,6 +27,7 @@ from ggavatar.io.held_folders import make_folder
 from ggavatar.io.images import read_rgb, write_png
 from ggavatar.io.json_files import read_json, write_json
 from ggavatar.io.ordered_map import ordered_map
+from ggavatar.pictures.quantization import to_8_bit
 
 RECORD, VIDEO, FRAMES, RGBA = "render.json", "render.mp4", "frames", "rgba"
 ORBIT_FIGURE, DRIVE_FIGURE = FIGURES = "novel_views.png", "reenactment.png"

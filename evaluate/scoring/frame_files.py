@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float, UInt8
-
 from ggavatar.errors import InputError
 from ggavatar.io.frame_names import frame_numbers
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+from ggavatar.io.image_suffixes import IMAGE_SUFFIXES
 
 
 def frame_file(folder: Path, frame: int) -> Path:
@@ -67,8 +63,3 @@ def common_frames(folders: Sequence[Path]) -> list[int]:
             f"expected frames common to {', '.join(map(str, folders))}, found none; render the same split for all"
         )
     return sorted(numbers)
-
-
-def to_8_bit(image: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:
-    """Values in [0, 1] as 8 bits: clamped, scaled by 255 and rounded to nearest."""
-    return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)

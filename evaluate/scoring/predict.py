@@ -12,7 +12,7 @@ import torch
 
 from evaluate.metrics.efficiency import device_of, model_megabytes, peak_memory_megabytes, timed_render, timing
 from evaluate.protocols.protocol import Protocol
-from evaluate.scoring.frame_files import frame_file, to_8_bit
+from evaluate.scoring.frame_files import frame_file
 from evaluate.scoring.frame_store import FOLDERS, SUMMARY, Filled, PredictionTask, Progress, fill_frames
 from evaluate.scoring.ground_truth import ImageSource
 from evaluate.scoring.region_masks import FrameReader
@@ -21,6 +21,7 @@ from ggavatar.core import Rasterizer
 from ggavatar.errors import InputError
 from ggavatar.io.images import write_png
 from ggavatar.io.json_files import write_sealed_json
+from ggavatar.pictures.quantization import to_8_bit
 from ggavatar.training.run_folder import Run
 
 

@@ -9,10 +9,10 @@ import torch
 from jaxtyping import UInt8
 
 from evaluate.rendering.standalone_file import StandaloneGaussians
-from evaluate.scoring.frame_files import to_8_bit
 from evaluate.viewer.orbit import Place, added_view, filling, moved_camera
 from evaluate.viewer.server import Windows, by_user
 from evaluate.viewer.texts import lines
+from ggavatar.pictures.quantization import to_8_bit
 
 
 class FileScene:

@@ -12,7 +12,6 @@ import torch
 from jaxtyping import UInt8
 
 from evaluate.figures.error_map import error_colors
-from evaluate.scoring.frame_files import to_8_bit
 from evaluate.viewer.orbit import Place, added_view, filling, moved_camera
 from evaluate.viewer.playback import Playback
 from evaluate.viewer.posing import Controls, Turn
@@ -21,6 +20,7 @@ from ggavatar.core import Camera, Drive
 from ggavatar.data.capture_without_images import CaptureWithoutImages
 from ggavatar.data.frames import evenly_spaced
 from ggavatar.formats.web.clips import clip_rate
+from ggavatar.pictures.quantization import to_8_bit
 from ggavatar.training.run_folder import Run
 
 AVATAR, BESIDE, ERROR = MODES = ("avatar", "video beside", "error map")

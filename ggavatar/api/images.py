@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from ggavatar.api.performances import Performance
 from ggavatar.core import Camera, Drive
 from ggavatar.data.background import parse_background
+from ggavatar.pictures.quantization import to_8_bit
 from ggavatar.training.run_folder import Run
 
 Images = UInt8[np.ndarray, "N H W 3"]
@@ -69,7 +70,6 @@ def _stacked(run: Run, views: Iterable[tuple[Drive, Camera]], width: int | None,
     return np.zeros((0, height, own, 3), np.uint8)
 
 
-@torch.no_grad()
 def _rendered(
     run: Run, views: Iterable[tuple[Drive, Camera]], width: int | None, background: str | None
 ) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
@@ -79,5 +79,6 @@ def _rendered(
     for drive, camera in views:
         if width is not None:
             camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
-        image = run.rasterize(run.avatar.gaussians(drive), camera, color).image
-        yield (image.float().clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
+        with torch.no_grad():
+            image = run.rasterize(run.avatar.gaussians(drive), camera, color).image
+        yield to_8_bit(image.float().cpu().numpy())

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 
 from ggavatar.io.cache_folder import cache_folder
+from ggavatar.plugins.entry_points import KINDS, listed
 from ggavatar.pretrained.catalogue import MODELS
 from ggavatar.pretrained.folders import is_offline
 from ggavatar.pretrained.resolve import ModelFinder, files_of
@@ -28,8 +29,6 @@ OPTIONAL = {
 """Packages that some commands do without, and for what they are needed."""
 VARIABLES = ("GGAVATAR_MODELS", "GGAVATAR_CACHE", "GGAVATAR_OFFLINE", "CUDA_VISIBLE_DEVICES", "OMP_NUM_THREADS")
 CACHES = ("models", "compiled")
-GROUP = "ggavatar."
-"""Groups of entry points of other packages, and of our own, begin with this."""
 
 
 def environment() -> dict[str, Any]:
@@ -134,13 +133,16 @@ def _cache(folder: Path) -> dict[str, Any]:
 
 
 def _plugins() -> dict[str, list[str]]:
-    """Names of what packages other than this one register, by group."""
-    found: dict[str, list[str]] = {}
-    for package in importlib.metadata.distributions():
-        for point in package.entry_points if package.name != "ggavatar" else ():
-            if point.group.startswith(GROUP):
-                found.setdefault(point.group, []).append(f"{point.name} ({package.name} {package.version})")
-    return {group: sorted(names) for group, names in sorted(found.items())}
+    """Names of what packages other than this one register, by group, with what is wrong with them."""
+    groups = {group: listed(group) for group in KINDS}
+    found = {
+        group: [
+            *(f"{plugin.name} ({plugin.package} {plugin.version})" for plugin in plugins.usable.values()),
+            *plugins.problems.values(),
+        ]
+        for group, plugins in groups.items()
+    }
+    return {group: sorted(names) for group, names in found.items() if names}
 
 
 def _built(cuda: str | None) -> str:

@@ -18,13 +18,13 @@ from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start
 from ggavatar.cli.run import run_command
 from ggavatar.errors import InputError, nearest
+from ggavatar.formats.avatar_suffix import SUFFIX as AVATAR_SUFFIX
 from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.capture_layouts import capture_formats, export_capture
 from ggavatar.formats.driving_options import DrivingOptions
 from ggavatar.formats.source_options import GaussianReadingOptions, is_gaussian_file
 from ggavatar.formats.splat_formats import (
     AVATAR,
-    AVATAR_SUFFIX,
     PAGE_SUFFIXES,
     WEB,
     chosen_format,

@@ -15,13 +15,13 @@ from pathlib import Path
 from ggavatar.errors import InputError
 from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.source_options import is_gaussian_file
+from ggavatar.io.image_suffixes import IMAGE_SUFFIXES
 from ggavatar.io.json_files import read_json
 
 CAPTURE, RUN, EVALUATION, VIDEO, IMAGES = "capture", "run", "evaluation", "video", "folder of images"
 AVATAR, GAUSSIANS, DEMO, MISSING, OTHER = "avatar file", "file of Gaussians", "demo", "nothing", "other"
 ARTICLES = {EVALUATION: "an evaluation", AVATAR: "an avatar file", DEMO: "the folder of ggavatar-demo"}
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".mts", ".wmv"})
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 MOST_ENTRIES = 2000
 """So many names of a folder are looked at."""
 

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING
 
 from ggavatar.errors import InputError
+from ggavatar.formats.avatar_suffix import SUFFIX as AVATAR_SUFFIX
 from ggavatar.formats.splats.file_kinds import SUFFIXES
 from ggavatar.io.atomic import write_atomically
 from ggavatar.plugins.entry_points import SPLAT_FORMATS, Listed, Plugin, guarded, listed
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from ggavatar.formats.splats.stored_gaussians import StoredGaussians
 
 WEB, PAGE_SUFFIXES = "web", (".html", ".htm")
-AVATAR, AVATAR_SUFFIX = "avatar", ".ggavatar"
-"""Formats of a whole avatar, and the suffixes of their files."""
+AVATAR = "avatar"
+"""Formats of a whole avatar, and the suffixes of a page's file."""
 OWN = ("ply", "splat", "spz", "glb")
 """Formats that we write."""
 _OTHER_NAMES = ("sog", "web", "html", "htm", "avatar", "ggavatar", "gaussian-avatars", "nersemble-submission", "json")

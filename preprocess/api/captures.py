@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from ggavatar.data.capture import Capture
-from ggavatar.errors import InputError, nearest
+from ggavatar.errors import nearest
 from ggavatar.head.files import load_head
 from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.held_folders import make_folder
@@ -21,8 +22,9 @@ from preprocess.formats.registry import importer_names
 from preprocess.options import PrepOptions, TrackingOptions
 from preprocess.pipeline.pipeline import run_pipeline
 from preprocess.pipeline.stage import Reporter, Stage
-from preprocess.synthetic.demo import DemoSettings, write_demo
+from preprocess.synthetic.demo import write_demo
 from preprocess.synthetic.output_folder import check_demo_folder, prepare_demo_folder
+from preprocess.synthetic.settings import DemoSettings, check_settings
 
 _OF_THE_COMMAND = ("input", "output_dir", "quiet", "json", "strict", "tracker")
 
@@ -33,7 +35,7 @@ def prepare_capture(video: Path | str, output: Path | str, progress: bool = Fals
     Args:
         video: A video file, or a folder of PNG or JPEG frames.
         output: Capture folder to write.
-        progress: Print a line when a stage is finished.
+        progress: Print a line when a stage is finished. What the command warns of are Python's warnings either way.
         **options: Those of `ggavatar-prep` with underscores, such as `size=256`, `masks="masks"`,
             `tracking="tracking"`, `head_model="head.npz"` or `overwrite=True`; `focal`, `expressions` and `smooth` are
             those of the built-in tracker. Its `--help` says what each means.
@@ -87,7 +89,7 @@ def make_demo(folder: Path | str, overwrite: bool = False, **settings: Any) -> P
             raise TypeError(f"make_demo() got an unexpected keyword argument {name!r}{nearest(name, known)}")
     path = Path(folder)
     chosen = DemoSettings(**settings)
-    _check_demo(chosen)
+    check_settings(chosen)
     check_demo_folder(path, overwrite=overwrite)
     make_folder(path)
     with lock_folder(path):
@@ -95,21 +97,6 @@ def make_demo(folder: Path | str, overwrite: bool = False, **settings: Any) -> P
         for _ in write_demo(path, chosen):
             pass
     return path
-
-
-def _check_demo(settings: DemoSettings) -> None:
-    """Raise `InputError` for settings that the commands' flags do not allow either."""
-    allowed = {
-        "identity": settings.identity in range(1, 6),
-        "frames": 1 <= settings.frames <= 99_999,
-        "size": 32 <= settings.size <= 4096 and settings.size % 2 == 0,
-        "noise": 0 <= settings.noise <= 10,
-        "background": settings.background in ("plain", "busy"),
-        "seed": settings.seed >= 0,
-    }
-    for name, is_good in allowed.items():
-        if not is_good:
-            raise InputError(f"{name} = {getattr(settings, name)}: outside of what ggavatar-demo --help allows")
 
 
 def list_importers() -> list[str]:
@@ -127,15 +114,16 @@ def _typed(name: str, value: Any) -> Any:
 
 
 def _reporting(progress: bool) -> Callable[[Stage, bool], AbstractContextManager[Reporter]]:
-    """What gives every stage its reporter: one that says nothing, or a line when it is finished, with its warnings."""
+    """What gives every stage its reporter: one that says nothing, or a line when it is finished, and warns."""
 
     @contextlib.contextmanager
     def report(stage: Stage, skipped: bool) -> Iterator[Reporter]:
         reporter, began = _Kept(), time.monotonic()
         yield reporter
         if progress:
-            took = "unchanged" if skipped else f"{time.monotonic() - began:.1f} s"
-            write_err(f"{stage.title}: {took}", *(f"warning: {message}" for message in reporter.warnings))
+            write_err(f"{stage.title}: {'unchanged' if skipped else f'{time.monotonic() - began:.1f} s'}")
+        for message in reporter.warnings:
+            warnings.warn(message, stacklevel=2)
 
     return report
 

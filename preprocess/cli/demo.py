@@ -11,8 +11,8 @@ import tyro
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.cli.progress import announce_start, show_progress
 from ggavatar.cli.run import run_command
-from ggavatar.errors import InputError
 from ggavatar.text.terminal import write_out
+from preprocess.synthetic.settings import DemoSettings, check_settings
 
 HEAD_BYTES, FRAME_BYTES = 1_000_000, 4_000
 """The head model, and mask, tracking and video of a frame of the smallest size that shows a person."""
@@ -62,35 +62,25 @@ def main(arguments: list[str] | None = None) -> int:
     return run_command(lambda: _write(parse(PAGE, arguments)), DemoOptions)
 
 
-def _check(options: DemoOptions) -> None:
-    if options.frames < 1 or options.frames > 99_999:
-        raise InputError(f"expected --frames from 1 to 99999, found {options.frames}")
-    if options.size < 32 or options.size > 4096 or options.size % 2:
-        raise InputError(f"expected an even --size from 32 to 4096 px, found {options.size}")
-    if not 0 <= options.noise <= 10:
-        raise InputError(f"expected --noise from 0 (exact) to 10 (1 is realistic), found {options.noise}")
-    if options.seed < 0:
-        raise InputError(f"expected a --seed of 0 or more, found {options.seed}")
-
-
 def _write(options: DemoOptions) -> None:
-    _check(options)
+    values = asdict(options)
+    folder, overwrite = values.pop("output_dir"), values.pop("overwrite")
+    settings = DemoSettings(**values)
+    check_settings(settings)
     announce_start()
     from ggavatar.io.folder_lock import lock_folder
     from ggavatar.io.free_space import require_space
     from ggavatar.io.held_folders import make_folder
-    from preprocess.synthetic.demo import DemoSettings, write_demo
+    from preprocess.synthetic.demo import write_demo
     from preprocess.synthetic.output_folder import check_demo_folder, prepare_demo_folder
 
-    values = asdict(options)
-    folder, overwrite = values.pop("output_dir"), values.pop("overwrite")
     check_demo_folder(folder, overwrite=overwrite)
     require_space(folder, HEAD_BYTES + FRAME_BYTES * options.frames)
     make_folder(folder)
     with lock_folder(folder):
         prepare_demo_folder(folder, overwrite=overwrite)
         with show_progress("rendering") as show:
-            for index in write_demo(folder, DemoSettings(**values)):
+            for index in write_demo(folder, settings):
                 show(index + 1, options.frames)
     write_out(
         f"wrote {folder}",

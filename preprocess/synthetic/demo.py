@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,22 +20,11 @@ from preprocess.formats.tracking_record import FLAME_JOINTS, TrackingRecord
 from preprocess.synthetic.animation.performance import FPS, Performance, perform
 from preprocess.synthetic.output_folder import DemoFolder, write_manifest
 from preprocess.synthetic.rendering import room
+from preprocess.synthetic.settings import DemoSettings
 from preprocess.synthetic.studio import Studio
 from preprocess.synthetic.tracker_errors import add_tracker_errors
 
 _BATCH = 8
-
-
-@dataclass(frozen=True)
-class DemoSettings:
-    """What to write; see the options of `ggavatar-demo`."""
-
-    identity: int = 1
-    frames: int = 600
-    size: int = 512
-    noise: float = 0.0
-    background: str = "plain"
-    seed: int = 0
 
 
 def write_demo(folder: Path, settings: DemoSettings) -> Iterator[int]:

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from ggavatar.errors import InputError
 from ggavatar.io.frame_names import frame_numbers
+from ggavatar.io.image_suffixes import IMAGE_SUFFIXES
 from ggavatar.io.images import read_gray, read_rgb
 from ggavatar.io.picture_decoding import picture_kind
 from preprocess.video.frame import DecodedFrame
-
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 
 
 class ImageFolder:

@@ -245,7 +245,7 @@ MUTATIONS = (
     ),
     Mutation(
         "predictions_cut_off_to_8_bits",
-        "evaluate/scoring/frame_files.py",
+        "ggavatar/pictures/quantization.py",
         "return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)",
         "return (np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)",
         (f"{PREDICT}::test_files_are_what_was_rendered_and_composited",),

@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from evaluate.rendering.standalone_file import StandaloneGaussians, open_standalone
-from evaluate.scoring.frame_files import to_8_bit
 from evaluate.viewer.file_scene import FileScene
 from evaluate.viewer.orbit import resting_place
 from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.formats.splats.gaussian_ply import write_gaussian_ply
 from ggavatar.formats.splats.stored_gaussians import to_stored
+from ggavatar.pictures.quantization import to_8_bit
 from tests.support.fake_viser import FakeServer
 from tests.support.gaussian_cloud import cloud
 

@@ -19,12 +19,12 @@ import pytest
 import torch
 from PIL import Image
 
-from evaluate.scoring.frame_files import to_8_bit
 from evaluate.viewer import session as sessions
 from evaluate.viewer.options import Options
 from evaluate.viewer.orbit import added_view, filling, moved_camera
 from evaluate.viewer.run_scene import RunScene
 from evaluate.viewer.session import Session, open_session
+from ggavatar.pictures.quantization import to_8_bit
 from ggavatar.training.run_folder import Run
 from tests.support.browser import Page, chromium, connected
 from tests.support.toy_run import toy_run

@@ -13,11 +13,11 @@ import pytest
 import torch
 
 from evaluate.figures.error_map import error_colors
-from evaluate.scoring.frame_files import to_8_bit
 from evaluate.viewer.orbit import resting_place
 from evaluate.viewer.posing import Turn
 from evaluate.viewer.run_scene import AVATAR, BESIDE, ERROR, ERROR_LIMIT, RunScene
 from evaluate.viewer.tiles import side_by_side, tile_size
+from ggavatar.pictures.quantization import to_8_bit
 from tests.support.toy_run import HEIGHT, WIDTH, ToyAvatar, head, toy_run
 
 

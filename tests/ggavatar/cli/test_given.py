@@ -1,4 +1,7 @@
-"""What was given is recognized, and the message names the command that takes it, or the nearest name."""
+"""What was given is recognized, and the message names the command that takes it, or the nearest name.
+
+Also covers `ggavatar/io/image_suffixes.py`.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,8 @@ from preprocess.doctor.diagnosis import examine
 from preprocess.doctor.letterbox import black_bars, crop_flags
 from preprocess.doctor.quality import head_positions
 from preprocess.options import PrepOptions
-from preprocess.synthetic.demo import DemoSettings, write_demo
+from preprocess.synthetic.demo import write_demo
+from preprocess.synthetic.settings import DemoSettings
 
 SIZE, FRAMES = 128, 56
 

@@ -13,7 +13,8 @@ from ggavatar.data.capture import Capture
 from ggavatar.io.images import read_gray, write_png
 from preprocess.cli.prep import main
 from preprocess.doctor import diagnosis
-from preprocess.synthetic.demo import DemoSettings, write_demo
+from preprocess.synthetic.demo import write_demo
+from preprocess.synthetic.settings import DemoSettings
 from tests.support.synthetic_clip import draw
 
 

@@ -26,10 +26,11 @@ from ggavatar.head.procedural.model import procedural_names
 from preprocess.cli import demo as cli
 from preprocess.formats.importers.metrical_tracker import frame_dictionary
 from preprocess.synthetic.animation.performance import GESTURES, VISEMES, Performance, perform
-from preprocess.synthetic.demo import DemoSettings, true_record, write_demo
+from preprocess.synthetic.demo import true_record, write_demo
 from preprocess.synthetic.output_folder import prepare_demo_folder
 from preprocess.synthetic.rendering import room
 from preprocess.synthetic.rendering.mesh import project, rasterize
+from preprocess.synthetic.settings import DemoSettings
 from preprocess.synthetic.tracker_errors import add_tracker_errors
 
 NAMES = procedural_names()[0]
