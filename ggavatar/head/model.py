@@ -132,9 +132,10 @@ class HeadModel:
         """Whether kernels pose the head: on CUDA, where nobody asks for a gradient."""
         tensors = (*(getattr(self, name) for name in POSED_BY), drive.expression, drive.joint_rotations)
         tensors = (*tensors, drive.eyelids, drive.translation)
-        if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
+        if not device_kernels.run_on(*tensors):
             return False
-        return all(tensor.is_contiguous() for tensor in tensors) and device_kernels.run_on(*tensors)
+        wants_gradient = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+        return not wants_gradient and all(tensor.is_contiguous() for tensor in tensors)
 
     def joint_transforms(self, drive: Drive) -> tuple[Float[Tensor, "J 3 3"], Float[Tensor, "J 3"]]:
         """Rotation and offset (m) of every joint: x ↦ R x + o transforms a vertex that is bound to this joint alone."""
