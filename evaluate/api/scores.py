@@ -6,7 +6,7 @@ import contextlib
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 from evaluate.metrics.catalogue import find_metric, metric_names
 from evaluate.metrics.metric import Metric
@@ -15,9 +15,10 @@ from evaluate.protocols.results import Evaluation, read_results
 from evaluate.scoring.folders import score_folders as score_image_folders
 from evaluate.scoring.pictures import Pictures, evaluate_pictures
 from evaluate.scoring.run import evaluate_run
-from ggavatar.api.runs import require_known
+from ggavatar.api.options import check_options
 from ggavatar.cli.progress import show_progress
 from ggavatar.data.capture import Capture
+from ggavatar.data.capture_without_images import CaptureWithoutImages
 from ggavatar.errors import InputError
 from ggavatar.formats.source_options import GaussianFileOptions
 from ggavatar.text.names import clean_name
@@ -43,7 +44,7 @@ class ScoreOptions(TypedDict, total=False):
     """Name of the split whose test frames are scored."""
     background: str
     """white, black, or R,G,B from 0 to 1."""
-    mask: str
+    mask: Literal["as-stored", "binary"]
     """as-stored or binary."""
     resolution: str
     """WIDTHxHEIGHT in px, or native."""
@@ -76,8 +77,13 @@ def score_run(
     """
     folder = run.folder if isinstance(run, Run) else Path(run)
     place = _folder(capture)
-    if isinstance(run, Run) and place is None:
-        place = run.capture.folder
+    if isinstance(run, Run):
+        if isinstance(run.capture, CaptureWithoutImages):
+            raise InputError(
+                f"{run.folder}: expected a run, found an avatar file, which holds no photographs to compare with; "
+                "score the run that it was made of"
+            )
+        place = place or run.capture.folder
     chosen = _options("score_run", dict(options), source=GaussianFileOptions(capture=place))
     with contextlib.ExitStack() as stack:
         return evaluate_run(folder, chosen, _Reporter(stack, chosen.quiet))[0]
@@ -173,7 +179,7 @@ def _folder(capture: Capture | Path | str | None) -> Path | None:
 
 def _options(function: str, given: dict[str, Any], **parts: Any) -> Options:
     """The options of ggavatar-eval for those of a function; quiet unless progress is asked for."""
-    require_known(function, given, ScoreOptions)
+    check_options(function, given, ScoreOptions)
     changes = {name: given[name] for name in _OVERRIDES if name in given}
     for name in ("metrics", "table_metrics", "regions"):
         if name in changes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,6 +14,7 @@ from evaluate.figures.video import video_writer
 from evaluate.protocols.results import Evaluation
 from evaluate.tables import write
 from evaluate.tables.table import Table
+from ggavatar.api.options import check_value
 from ggavatar.errors import InputError
 from ggavatar.text.names import clean_name
 
@@ -36,6 +38,7 @@ def make_tables(
     Raises:
         InputError: Two evaluations of one subject, method, seed and protocol, or an unknown subject.
     """
+    check_value("make_tables(layout=…)", layout, Literal["auto", "subjects", "ablation"])
     if labels and len(labels) != len(evaluations):
         raise InputError(f"expected one label for each of {len(evaluations)} evaluations, found {len(labels)}")
     if labels:
@@ -61,11 +64,13 @@ def write_video(path: Path | str, images: UInt8[np.ndarray, "N H W 3"], fps: flo
     Args:
         path: The file.
         images: 8-bit sRGB, at least one.
-        fps: Frames per second.
+        fps: Frames per second, above 0.
 
     Raises:
-        InputError: There is no image.
+        InputError: There is no image, or `fps` is not above 0.
     """
+    if not fps > 0:
+        raise InputError(f"write_video(fps=…): expected frames per second above 0, found {fps:g}")
     with video_writer(Path(path), fps) as append:
         for image in images:
             append(image)

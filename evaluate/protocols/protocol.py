@@ -151,7 +151,8 @@ class Protocol:
 _PIXELS = ("psnr", "l1", "ssim", "ssim_luma", "ssim_3dgs", "ms_ssim")
 _ALL = (*_PIXELS, "lpips_alex", "lpips_vgg", "lpips_squeeze", "lpips_vgg_unit_range", *TEMPORAL, *FACES)
 _LAST_FRAMES_METRICS = ("psnr", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", *TEMPORAL)
-_RUN_REGIONS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
+CAPTURE_REGIONS = ("foreground", "face", "mouth", "eyes", "hair", "boundary")
+"""Regions that can be found in a capture; folders of images may come with masks of others."""
 _GAUSSIAN_AVATARS_METRICS = ("psnr", "ssim_3dgs", "lpips_vgg_unit_range")
 
 
@@ -167,9 +168,9 @@ _NAMED = (
         "every-20th",
         metrics=("psnr", "l1", "ssim", "ssim_3dgs", "lpips_alex", "lpips_vgg", "lpips_vgg_unit_range"),
         table_metrics=("psnr", "ssim_3dgs", "lpips_alex"),
-        regions=_RUN_REGIONS,
+        regions=CAPTURE_REGIONS,
     ),
-    _on_white("strict", "ratio-0.8", metrics=_ALL, regions=_RUN_REGIONS),
+    _on_white("strict", "ratio-0.8", metrics=_ALL, regions=CAPTURE_REGIONS),
     _on_white("insta-350", "last-350", metrics=_LAST_FRAMES_METRICS),
     _on_white("flash-500", "last-500", metrics=_LAST_FRAMES_METRICS, table_metrics=("psnr", "ssim_3dgs", "lpips_vgg")),
     _on_white(

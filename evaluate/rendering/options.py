@@ -72,7 +72,7 @@ PAGE = CommandPage(
     options=Options,
     summary="Render a trained avatar: the frames of a split, an orbit around the head, or a driving performance.",
     examples=(
-        ("ggavatar-render runs/alice", "the test frames, beside the truth, as PNG and video"),
+        ("ggavatar-render runs/alice", "the test frames, as PNG and video"),
         ("ggavatar-render runs/alice --orbit --views 60", "around the head"),
         ("ggavatar-render runs/alice --drive captures/bob -o bob-drives-alice", "with another person's performance"),
     ),

@@ -23,7 +23,8 @@ def frame_files(folder: Path) -> dict[int, Path]:
             files have the same one, or there are images of several cameras.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected a folder of images, found none; run ggavatar-eval on the run first")
+        instead = "a file" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: expected a folder of images, found {instead}; check the path")
     files = [
         path
         for path in sorted(folder.iterdir())

@@ -17,7 +17,7 @@ from evaluate.scoring.accumulator import Labels
 from evaluate.scoring.evaluation_job import Job, Reporter, evaluate_job
 from evaluate.scoring.frame_files import frame_files
 from evaluate.scoring.frame_store import FOLDERS, SUMMARY, Filled, PredictionTask, Progress, fill_frames
-from evaluate.scoring.scored_frames import ScoredFrames, at_capture_resolution, choose_frames, ground_truth_of
+from evaluate.scoring.scored_frames import ScoredFrames, choose_frames, for_capture, ground_truth_of
 from ggavatar.data.capture import Capture
 from ggavatar.data.frames import Frames
 from ggavatar.errors import InputError, nearest
@@ -137,7 +137,7 @@ def evaluate_pictures(pictures: Pictures, options: Options, reporter: Reporter) 
     """
     capture = pictures.capture
     split = pictures.own.split if pictures.own else DEFAULT_SPLIT
-    protocol = at_capture_resolution(options.base_protocol(split), capture)
+    protocol = for_capture(options.base_protocol(split), capture)
     chosen = choose_frames(capture, protocol, options.split_rule, pictures.own)
     files = require_pictures(pictures.folder, chosen.frames, protocol.size or (capture.width, capture.height))
     label, subject = pictures.label, options.folders.subject or capture.subject

@@ -12,7 +12,7 @@ from evaluate.scoring.evaluation_job import Job, Reporter, evaluate_job
 from evaluate.scoring.gaussian_files import open_gaussian_file, refuse_file_flags
 from evaluate.scoring.predict import predict_frames, prediction_task
 from evaluate.scoring.run_setup import setup_of_run
-from evaluate.scoring.scored_frames import at_capture_resolution
+from evaluate.scoring.scored_frames import for_capture
 from ggavatar.errors import InputError
 from ggavatar.formats.avatar_suffix import is_avatar_file
 from ggavatar.formats.imported_run import DEFAULT_SPLIT
@@ -37,7 +37,7 @@ def evaluate_run(folder: Path, options: Options, reporter: Reporter) -> tuple[Ev
         InputError: Not a run, the protocol cannot be applied to it, or the device is not available.
     """
     run = _open(folder, options, resolve_device(options.device))
-    protocol = at_capture_resolution(options.base_protocol(run.config.split), run.capture)
+    protocol = for_capture(options.base_protocol(run.config.split), run.capture)
     task = prediction_task(run, protocol, options.split_rule)
     home = run.folder / "eval" / protocol.id
     measured = task.identity["capture_sha256"]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from evaluate.protocols.protocol import GIVEN, Protocol
+from evaluate.protocols.protocol import CAPTURE_REGIONS, GIVEN, Protocol
 from evaluate.scoring.ground_truth import GroundTruth
 from ggavatar.data.background import Color
 from ggavatar.data.capture import Capture
 from ggavatar.data.splits import split_name
-from ggavatar.errors import InputError
+from ggavatar.errors import InputError, nearest
 from ggavatar.training.run_folder import choose_split
 
 
@@ -58,8 +58,16 @@ def ground_truth_of(protocol: Protocol, background: Color) -> GroundTruth:
     return GroundTruth(protocol.background_rgb or background, protocol.size, protocol.mask == "binary")
 
 
-def at_capture_resolution(protocol: Protocol, capture: Capture) -> Protocol:
-    """The protocol, at the capture's own resolution if its own would enlarge or distort the ground truth."""
+def for_capture(protocol: Protocol, capture: Capture) -> Protocol:
+    """The protocol, at the capture's own resolution if its own would enlarge or distort the ground truth.
+
+    Raises:
+        InputError: It has a region that cannot be found in a capture.
+    """
+    for region in protocol.regions:
+        if region not in CAPTURE_REGIONS:
+            known = f"{nearest(region, CAPTURE_REGIONS)}; those of a capture are {', '.join(CAPTURE_REGIONS)}"
+            raise InputError(f"unknown region {region!r}{known}")
     own = capture.width, capture.height
     if protocol.size is None:
         return protocol

@@ -6,8 +6,9 @@ import dataclasses
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, cast
 
+from ggavatar.api.options import check_options
 from ggavatar.api.performances import Performance
-from ggavatar.api.runs import open_run, require_known
+from ggavatar.api.runs import open_run
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.avatar_file.export import export_avatar_file
@@ -58,7 +59,7 @@ def export(
     Raises:
         InputError: The source has no such format, or the output exists and must not be replaced.
     """
-    require_known("export", options, ExportOptions)
+    check_options("export", options, ExportOptions)
     path, given = Path(output), cast(dict[str, Any], dict(options))
     kind, overwrite = chosen_format(format, path), bool(given.get("overwrite"))
     if isinstance(source, Capture):

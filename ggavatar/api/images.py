@@ -66,8 +66,8 @@ def _stacked(run: Run, views: Iterable[tuple[Drive, Camera]], width: int | None,
     images = list(_rendered(run, views, width, background))
     if images:
         return np.stack(images)
-    height, own = run.capture.height, run.capture.width
-    return np.zeros((0, height, own, 3), np.uint8)
+    camera = _sized(run.reader.camera(run.capture.frames[0]), width)
+    return np.zeros((0, camera.height, camera.width, 3), np.uint8)
 
 
 def _rendered(
@@ -77,8 +77,11 @@ def _rendered(
     if background is not None:
         color = color.new_tensor(parse_background(background))
     for drive, camera in views:
-        if width is not None:
-            camera = camera.resized(width, max(1, round(camera.height * width / camera.width)))
         with torch.no_grad():
-            image = run.rasterize(run.avatar.gaussians(drive), camera, color).image
+            image = run.rasterize(run.avatar.gaussians(drive), _sized(camera, width), color).image
         yield to_8_bit(image.float().cpu().numpy())
+
+
+def _sized(camera: Camera, width: int | None) -> Camera:
+    """The camera of an image of some width, px."""
+    return camera if width is None else camera.resized(width, max(1, round(camera.height * width / camera.width)))

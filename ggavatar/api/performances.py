@@ -5,11 +5,11 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
-from ggavatar.api.runs import require_known
+from ggavatar.api.options import check_options
 from ggavatar.data.capture import Capture
 from ggavatar.errors import InputError, nearest
 from ggavatar.formats.arkit_recording import ARKIT_NAMES
@@ -29,11 +29,11 @@ FPS = 25.0
 class DriveOptions(TypedDict, total=False):
     """How a performance is carried over to an avatar (docs/driving.md)."""
 
-    transfer: str
+    transfer: Literal["matched", "relative", "absolute"]
     """matched (what the faces show), relative or absolute (coefficients)."""
-    pose: str
+    pose: Literal["relative", "absolute", "still"]
     """relative, absolute or still."""
-    smooth: str
+    smooth: Literal["none", "one-euro", "savgol"]
     """none, one-euro or savgol."""
     limit: float
     """How far a coefficient may leave the range seen in training, as a fraction of it; negative: no limit."""
@@ -60,9 +60,11 @@ def drive(run: Run, source: Capture | Path | str | Mapping[str, Curve], **option
     Raises:
         InputError: The source cannot be read or does not fit the avatar.
     """
-    require_known("drive", options, DriveOptions)
+    check_options("drive", options, DriveOptions)
     given: dict[str, Any] = dict(options)
     fps = float(given.pop("fps", FPS))
+    if not fps > 0:
+        raise InputError(f"drive(fps=…): expected frames per second above 0, found {fps:g}")
     how = DrivingOptions(**given)
     if isinstance(source, Capture):
         return carried_over(run, source.folder, how)

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
+from ggavatar.api.options import check_options
 from ggavatar.data.capture import Capture
-from ggavatar.errors import nearest
 from ggavatar.formats.any_avatar import open_avatar
 from ggavatar.render.backends import resolve_device
 from ggavatar.training import registry
 from ggavatar.training.run_folder import Run
+from ggavatar.training.same_capture import change_since_training
 from ggavatar.training.session import TrainingInterrupted, train_run
 
 
 class TrainOptions(TypedDict, total=False):
     """What a training may be given; what is left out has the default of its preset, or of the run that it resumes."""
 
-    preset: str
+    preset: Literal["default", "fast", "paper"]
     """default (suited to the device), fast (a preview within minutes) or paper (120,000 steps, as published)."""
     steps: int
     """Number of steps; every schedule scales with it."""
@@ -73,7 +75,7 @@ def train(
         InputError: The capture, the method or an option cannot be used.
         KeyboardInterrupt: Ctrl-C; the state is saved, and `resume=True` continues.
     """
-    require_known("train", options, TrainOptions)
+    check_options("train", options, TrainOptions)
     given: dict[str, Any] = {**options, "method": method}
     is_quiet = not given.pop("progress", False)
     given["set"] = assignments(given.pop("settings", {}))
@@ -96,9 +98,15 @@ def open_run(path: Path | str, device: str = "auto", step: int | None = None, ca
 
     Raises:
         InputError: Neither of the two, or damaged, or its capture is not found.
+
+    Warns:
+        UserWarning: The capture has changed since the run was trained on it.
     """
     moved = None if capture is None else Path(capture)
-    return open_avatar(Path(path), resolve_device(device), step, capture=moved)
+    run = open_avatar(Path(path), resolve_device(device), step, capture=moved)
+    if changed := change_since_training(run):
+        warnings.warn(changed, stacklevel=2)
+    return run
 
 
 def list_methods() -> dict[str, str]:
@@ -115,12 +123,3 @@ def assignments(settings: Mapping[str, Any]) -> list[str]:
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
-
-
-def require_known(function: str, given: Mapping[str, Any], options: type) -> None:
-    """Raise `TypeError`, as Python does for unknown keyword arguments, with the nearest known name."""
-    known = list(options.__annotations__)
-    for name in given:
-        if name not in known:
-            suggestion = nearest(name, known)
-            raise TypeError(f"{function}() got an unexpected keyword argument {name!r}{suggestion}")

@@ -113,7 +113,10 @@ PAGE = CommandPage(
     summary="Write a trained avatar or a file of Gaussians for other programs, or a capture for other trainers.",
     examples=(
         ("ggavatar-export runs/alice -o alice.html", "a page that shows and drives the avatar in any browser"),
-        ("ggavatar-export runs/alice -o alice.ggavatar", "one file that every command opens like the run"),
+        (
+            "ggavatar-export runs/alice -o alice.ggavatar",
+            "one file to view, render and export like the run",
+        ),
         ("ggavatar-export captures/alice --format vhap", "a capture for GaussianAvatars"),
     ),
     groups={
@@ -164,9 +167,9 @@ def _check_source(arguments: Arguments) -> None:
     source = arguments.source
     if arguments.format is None and kind_of(source) == CAPTURE:
         layouts = capture_formats()
-        example = f"ggavatar-export {source} --format {layouts[0] if layouts else 'LAYOUT'}"
         raise InputError(
-            f"{source}: expected a run folder, found a capture; for other trainers ({', '.join(layouts)}): {example}; "
+            f"{source}: expected a run folder, found a capture; for other trainers: ggavatar-export {source} --format "
+            f"{' or '.join(layouts) or 'LAYOUT'}; "
             f"for an avatar, train on it first: ggavatar-train {source} -o runs/{clean_stem(source)}"
         )
     check_given(source, AN_AVATAR if arguments.kind in _run_formats() else A_CAPTURE)

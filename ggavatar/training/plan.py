@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from ggavatar.errors import InputError, nearest
 from ggavatar.optim.schedules import PAPER_STEPS
+
+PRESET_NAMES = ("default", "fast", "paper")
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,12 @@ def preset(name: str, device: str) -> TrainingPlan:
         name: `default`, for good results on the given device; `fast`, for a preview within minutes; `paper`, the
             published schedule.
         device: `cpu`, or another device, for which the default is longer.
+
+    Raises:
+        InputError: There is no such preset.
     """
+    if name not in PRESET_NAMES:
+        raise InputError(f"preset {name!r}: expected one of {', '.join(PRESET_NAMES)}{nearest(name, PRESET_NAMES)}")
     if name == "paper":
         return TrainingPlan(
             PAPER_STEPS,

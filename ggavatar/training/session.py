@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ from ggavatar.io.dataclass_json import override
 from ggavatar.io.folder_lock import lock_folder
 from ggavatar.io.free_space import require_space
 from ggavatar.io.held_folders import make_folder
-from ggavatar.io.json_files import write_sealed_json
+from ggavatar.io.json_files import read_json, write_sealed_json
 from ggavatar.losses.vgg import perceptual_loss
 from ggavatar.pretrained.resolve import ModelUnavailable
 from ggavatar.render.backends import resolve_device
@@ -248,6 +249,7 @@ def make_trainer(
 def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunConfig:
     """The configuration of the run in the output folder, after checking that the options do not contradict it."""
     config = read_config(output)
+    registry.load_as_trained(config.method, _recorded_package(output), output)  # names the package that is missing
     require_same_capture(output, config, capture, capture.digest())
     saved = {**dataclasses.asdict(config), **dataclasses.asdict(config.training)}
     saved["background"] = tuple(config.background)
@@ -262,6 +264,13 @@ def _resumed(output: Path, capture: Capture, options: Mapping[str, Any]) -> RunC
             )
     _require_same_settings(output, config, options.get("set", ()))
     return config
+
+
+def _recorded_package(run: Path) -> object:
+    """The package of the run's method, as its provenance says; None for our own, or if nothing says it."""
+    with contextlib.suppress(InputError):
+        return read_json(run / "provenance.json").get("method_package")
+    return None
 
 
 def _require_same_settings(output: Path, config: RunConfig, assignments: Sequence[str]) -> None:

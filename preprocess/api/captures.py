@@ -35,7 +35,8 @@ def prepare_capture(video: Path | str, output: Path | str, progress: bool = Fals
     Args:
         video: A video file, or a folder of PNG or JPEG frames.
         output: Capture folder to write.
-        progress: Print a line when a stage is finished. What the command warns of are Python's warnings either way.
+        progress: Print a line when a stage is finished. Warnings of the stages are Python's either way; what the doctor
+            finds in the capture, `check_capture` says.
         **options: Those of `ggavatar-prep` with underscores, such as `size=256`, `masks="masks"`,
             `tracking="tracking"`, `head_model="head.npz"` or `overwrite=True`; `focal`, `expressions` and `smooth` are
             those of the built-in tracker. Its `--help` says what each means.

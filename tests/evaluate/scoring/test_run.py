@@ -24,7 +24,7 @@ from evaluate.scoring import run as run_evaluation
 from evaluate.scoring.region_masks import frame_regions, write_region_masks
 from evaluate.scoring.run import evaluate_run
 from evaluate.scoring.run_setup import perceptual_features, setup_of_run
-from evaluate.scoring.scored_frames import at_capture_resolution
+from evaluate.scoring.scored_frames import for_capture
 from evaluate.scoring.touched import require_untouched
 from ggavatar.errors import InputError
 from ggavatar.io.digests import sha256_of
@@ -212,11 +212,17 @@ def test_the_protocol_follows_the_split_of_the_run(split: str, protocol: str) ->
 
 def test_truth_is_never_enlarged_nor_distorted(run: Run) -> None:
     paper = protocol_by_name("paper")
-    assert at_capture_resolution(paper, run.capture).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
+    assert for_capture(paper, run.capture).id == f"paper-v1+resolution={WIDTH}x{HEIGHT}"
     halved = paper.override(resolution=f"{WIDTH // 2}x{HEIGHT // 2}")
-    assert at_capture_resolution(halved, run.capture) == halved
-    assert at_capture_resolution(paper.override(resolution="16x16"), run.capture).size == (WIDTH, HEIGHT)
-    assert at_capture_resolution(paper.override(resolution="native"), run.capture).size is None
+    assert for_capture(halved, run.capture) == halved
+    assert for_capture(paper.override(resolution="16x16"), run.capture).size == (WIDTH, HEIGHT)
+    assert for_capture(paper.override(resolution="native"), run.capture).size is None
+
+
+def test_a_region_that_no_capture_has_is_refused_before_anything_is_rendered(run: Run) -> None:
+    wanted = protocol_by_name("paper").override(regions=("face", "eye"))
+    with pytest.raises(InputError, match=r"unknown region 'eye' \(did you mean eyes\?\); those of a capture are fore"):
+        for_capture(wanted, run.capture)
 
 
 def test_regions_are_drawn_from_the_tracked_mesh(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ References: the files that the commands write for the same run.
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from ggavatar.api.performances import _recording
 from ggavatar.cli.export import main as export_command
 from ggavatar.data.capture import Capture
 from ggavatar.formats.arkit_recording import ARKIT_NAMES, read_arkit_recording
-from ggavatar.io.images import read_rgb
+from ggavatar.io.images import read_rgb, write_png
 from ggavatar.training.run_folder import Run
 
 
@@ -64,6 +65,28 @@ def test_a_run_is_resumed_and_reopened(run: Run, toy_capture: Capture) -> None:
         ggavatar.train(toy_capture, run.folder, device="cpu")
 
 
+def test_a_capture_that_changed_since_the_training_is_a_warning(run: Run, toy_capture: Capture, tmp_path: Path) -> None:
+    changed = tmp_path / "changed"
+    shutil.copytree(toy_capture.folder, changed)
+    image = changed / "images" / f"{toy_capture.frames[0]:06d}.png"
+    write_png(image, 255 - read_rgb(image))
+    with pytest.warns(UserWarning, match=r"changed has changed since .* was trained on it"):
+        ggavatar.open_run(run.folder, device="cpu", capture=changed)
+
+
+def test_an_avatar_file_is_not_scored_and_wrong_numbers_are_refused(run: Run, tmp_path: Path) -> None:
+    ggavatar.export(run, tmp_path / "me.ggavatar")
+    with pytest.raises(ggavatar.InputError, match="expected a run, found an avatar file, which holds no photographs"):
+        ggavatar.score_run(ggavatar.open_run(tmp_path / "me.ggavatar", device="cpu"))
+    with pytest.raises(ggavatar.InputError, match="frames per second above 0"):
+        ggavatar.drive(run, {"jawOpen": [0.0, 1.0]}, fps=0)
+    with pytest.raises(ggavatar.InputError, match="frames per second above 0"):
+        ggavatar.write_video(tmp_path / "a.mp4", np.zeros((1, 16, 16, 3), np.uint8), fps=0.0)
+    with pytest.raises(ggavatar.InputError, match="expected one of auto, subjects, ablation, found 'x'"):
+        ggavatar.make_tables([], layout="x")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["me.ggavatar"]
+
+
 @pytest.mark.parametrize(
     ("call", "name", "meant"),
     [
@@ -93,6 +116,7 @@ def test_images_and_scores_are_those_of_the_command(run: Run, capsys: pytest.Cap
     np.testing.assert_array_equal(images, files)
     assert ggavatar.render_frames(run, [3], width=24, background="black").shape == (1, 24, 24, 3)
     assert ggavatar.render_frames(run, []).shape == (0, 48, 48, 3)
+    assert ggavatar.render_frames(run, [], width=24).shape == (0, 24, 24, 3)
     pictures = ggavatar.score_pictures(
         home / "predictions", run.capture, "mine", metrics=["psnr", "ssim"], learned=False
     )

@@ -7,10 +7,16 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ggavatar.errors import InputError
 from ggavatar.optim.schedules import log_linear, scaled
 from ggavatar.optim.seeding import seeded
 from ggavatar.training.plan import TrainingPlan, preset
 from ggavatar.training.trainer import step_with_rate_factor
+
+
+def test_a_preset_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(InputError, match=r"preset 'fas': expected one of default, fast, paper \(did you mean fast\?\)"):
+        preset("fas", "cpu")
 
 
 def test_position_rate_reaches_a_hundredth_at_half() -> None:
