@@ -15,13 +15,11 @@ INTRODUCTION = """# Reference
 Names of `import ggavatar`, from their docstrings. Arrays and tensors have their shapes (`Float[Tensor, "N 3"]`),
 lengths are meters, images `[0, 1]` unless stated ([conventions](conventions.md)).
 """
-CORE = ("ggavatar.core.Camera", "ggavatar.core.Drive", "ggavatar.core.Gaussians", "ggavatar.errors.InputError")
-"""The reference without a stub."""
 
 
 def reference_page() -> str:
     """Markdown with a directive of mkdocstrings for each public name: functions, then classes, then their options."""
-    names = list(public_names(STUB.read_text(encoding="utf-8"))) if STUB.is_file() else list(CORE)
+    names = list(public_names(STUB.read_text(encoding="utf-8")))
     in_order = sorted(names, key=lambda name: (name.rpartition(".")[2][0].isupper(), name.rpartition(".")[2]))
     options = sorted({options for name in names for options in option_types(name)} - {*names})
     return INTRODUCTION + "".join(f"\n::: {name}\n" for name in (*in_order, *options))

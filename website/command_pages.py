@@ -1,12 +1,23 @@
-"""A page for each command, made of what it prints for `--help`."""
+"""A page for each command, made of the same `CommandPage` as its `--help`."""
 
 from __future__ import annotations
 
 import html
 import re
+from collections.abc import Sequence
 
-from website.command_help import HelpPage, entry_points, printed_help, read_help
+from evaluate import options as evaluation
+from evaluate.rendering import options as rendering
+from evaluate.viewer import options as viewer
+from ggavatar.cli import export, models, sweep, train
+from ggavatar.cli.page import CommandPage, explained
+from preprocess.cli import demo, doctor, prep
 
+PAGES: dict[str, CommandPage] = {
+    module.PAGE.program: module.PAGE
+    for module in (demo, prep, doctor, train, sweep, rendering, evaluation, export, viewer, models)
+}
+"""What every command says about itself, by its name."""
 INTRODUCTION = """# Commands
 
 Made from the parsers themselves when this site is built. Every command has `--help`, which says the same on the machine
@@ -21,29 +32,29 @@ MARKUP = re.compile(r"([\\`*_{}\[\]#|])")
 
 def command_pages() -> dict[str, str]:
     """Markdown of all pages by path: an index, and a page for each command."""
-    pages = {name: read_help(printed_help(name)) for name in entry_points()}
-    rows = "".join(f"| [`{name}`]({name}.md) | {escaped(summary(page))} |\n" for name, page in pages.items())
+    rows = "".join(f"| [`{name}`]({name}.md) | {escaped(page.summary)} |\n" for name, page in PAGES.items())
     return {"commands/index.md": INTRODUCTION + rows} | {
-        f"commands/{name}.md": markdown(name, page) for name, page in pages.items()
+        f"commands/{name}.md": markdown(page) for name, page in PAGES.items()
     }
 
 
-def summary(page: HelpPage) -> str:
-    """The first sentence of a command's description."""
-    return re.split(r"(?<=\.)\s|\n\n", page.text, maxsplit=1)[0].replace("\n", " ")
-
-
-def markdown(name: str, page: HelpPage) -> str:
-    """The page of a command: what it does, its usage, then every section."""
-    parts = [f"# {name}", escaped(page.text), f"```text\n{page.usage}\n```"]
-    for section in page.sections:
-        parts.append(f"## {section.title[:1].upper()}{section.title[1:]}")
-        if not section.options:
-            parts.append("```text\n{}\n```".format("\n".join(section.lines)))
-        parts += [f"`{option.flags}`\n:   {escaped(option.meaning) or '–'}" for option in section.options]
+def markdown(page: CommandPage) -> str:
+    """The page of a command: what it does, its usage, examples, then every flag with its default."""
+    defaults = page.defaults()
+    parts = [f"# {page.program}", escaped(page.summary), _code([page.usage])]
+    if listing := page.listing():
+        parts.append(_code(listing))
+    parts += ["## Examples", _code([text for line, purpose in page.examples for text in (f"# {purpose}", line)])]
+    for title, flags in page.grouped().items():
+        parts.append(f"## {title[:1].upper()}{title[1:]}")
+        parts += [f"`{flag.shown}`\n:   {escaped(explained(flag, defaults))}" for flag in flags]
     return "\n\n".join(parts) + "\n"
 
 
 def escaped(text: str) -> str:
     """Plain text as Markdown that shows it as it is."""
     return MARKUP.sub(r"\\\1", html.escape(text, quote=False))
+
+
+def _code(lines: Sequence[str]) -> str:
+    return "```text\n{}\n```".format("\n".join(lines))

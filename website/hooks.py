@@ -11,14 +11,14 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 from website.api_reference import REFERENCE, reference_page
-from website.command_help import entry_points
+from website.command_pages import PAGES as COMMANDS
 from website.command_pages import command_pages
 from website.project_links import PAGES, ROOT, linked_files, with_site_links
 
 NAVIGATION: Mapping[str, Callable[[], list[Any]]] = {
-    "Commands": lambda: [{"Overview": "commands/index.md"}, *(f"commands/{name}.md" for name in entry_points())],
+    "Commands": lambda: [{"Overview": "commands/index.md"}, *(f"commands/{name}.md" for name in COMMANDS)],
     "Methods": lambda: [{"Overview": "methods.md"}, *_inside("methods")],
-    "API": lambda: [*_there("api.md", "plugins.md"), REFERENCE],
+    "API": lambda: ["api.md", "plugins.md", REFERENCE],
 }
 """Sections of the navigation that are filled with whatever there is."""
 
@@ -69,8 +69,3 @@ def _text(name: str) -> str:
 def _inside(folder: str) -> list[str]:
     """Pages of a folder of docs/, by name."""
     return sorted(f"{folder}/{path.name}" for path in Path(ROOT / "docs" / folder).glob("*.md"))
-
-
-def _there(*names: str) -> list[str]:
-    """Those pages of docs/ that exist."""
-    return [name for name in names if (ROOT / "docs" / name).is_file()]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ggavatar.training import registry
-from website.command_help import entry_points
+from website.command_pages import PAGES
 
 pytest.importorskip("mkdocs", reason="needs the extra docs")
 
@@ -42,7 +42,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_made_pages_and_linked_files_are_there(site: Path) -> None:
     names = ("index.html", "contributing.html", "changelog.html", "commands/index.html")
-    for name in (*names, *(f"commands/{command}.html" for command in entry_points())):
+    for name in (*names, *(f"commands/{command}.html" for command in PAGES)):
         assert (site / name).is_file(), name
     assert (site / "CITATION.cff").read_bytes() == (ROOT / "CITATION.cff").read_bytes()
     assert "GGAvatar+" in (site / "index.html").read_text(encoding="utf-8")
@@ -56,7 +56,7 @@ def test_links_into_the_repository_are_links_of_the_site(site: Path) -> None:
 def test_the_menu_has_every_command_and_every_method(site: Path) -> None:
     config = load_config(str(site.parent / "mkdocs.yml"))
     *_, commands, methods = on_config(config).nav or []
-    assert commands["Commands"][1:] == [f"commands/{name}.md" for name in entry_points()]
+    assert commands["Commands"][1:] == [f"commands/{name}.md" for name in PAGES]
     assert methods["Methods"][1:] == [f"methods/{name}.md" for name in METHODS]
 
 

@@ -9,7 +9,7 @@ import pytest
 from ggavatar.cli.flags import flags_of, spellings_of
 from ggavatar.cli.train import Arguments
 from preprocess.options import PrepOptions
-from tests.support.command_pages import PAGES
+from website.command_pages import PAGES
 
 
 def test_flags_of_a_training() -> None:

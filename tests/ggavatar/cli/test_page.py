@@ -20,7 +20,7 @@ from ggavatar.cli.flags import flags_of
 from ggavatar.cli.page import CommandPage, parse
 from ggavatar.errors import InputError
 from ggavatar.training import registry
-from tests.support.command_pages import PAGES
+from website.command_pages import PAGES
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import pytest
 
 from ggavatar.cli.flags import spellings_of
 from ggavatar.cli.remedies import exhausted, less_memory, next_step
-from tests.support.command_pages import PAGES
+from website.command_pages import PAGES
 
 ROOT = Path(__file__).parents[3]
 FLAGS = {program: spellings_of(page.options) for program, page in PAGES.items()}
