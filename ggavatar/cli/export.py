@@ -58,9 +58,9 @@ class Arguments:
     """Run folder of ggavatar-train, avatar file (.ggavatar), FILE of Gaussians (PLY, .splat, .spz, SOG), capture folder
     of ggavatar-prep, or (nersemble-submission) folder of renderings."""
     format: str | None = None
-    """Of a run or avatar file: web (a page that shows and drives it), avatar (one file that the commands open like the
-    run), ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz or glb;
-    of a capture or of renderings: those listed. By default that of the suffix of --output, else ply."""
+    """Of a run or avatar file: web (a page that shows and drives it), avatar (one file to view, render and export
+    like the run), ply, splat, spz, glb (for viewers) or gaussian-avatars (bound to the mesh); of FILE: ply, splat, spz
+    or glb; of a capture or of renderings: those listed. By default that of the suffix of --output, else ply."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="PATH")] = None
     """File or folder to write; RUN/exports/…, FILE.FORMAT or CAPTURE-FORMAT if not given."""
     neutral: bool = False
